@@ -1,0 +1,40 @@
+/* cli: the program. One file per subcommand, no logic of its own; the only floor that prints and exits.
+ *
+ *     static int info(const hg_arguments *arguments) { ... return 0; }
+ *     HG_COMMAND(info, "what a groom, body, motion, run or drape file holds", info_options, "FILE...")
+ */
+#ifndef HG_CLI_H
+#define HG_CLI_H
+
+#include "export/export.h"
+
+#include <stdio.h>
+
+/* "--name VALUE" (value_name not NULL) or "--name" (a flag). Repeatable ones are joined in order. */
+typedef struct { const char *name, *value_name, *help; bool repeat; } hg_argument;
+typedef struct { int n_free; const char **free; int n_given; struct { const char *name, *value; } given[64]; } hg_arguments;
+
+typedef struct {
+    const char *name, *what, *usage;
+    const hg_argument *options; int n_options;
+    int min_free, max_free;
+    int (*run)(const hg_arguments *arguments);     /* 0, or 1 after cli_fail; parsing errors are 2 */
+    const char *more;                              /* shown by --help: examples */
+} hg_command;
+#define HG_COMMAND(name_, ...) \
+    static const hg_command command_##name_ = { .name = #name_, __VA_ARGS__ }; \
+    HG_REGISTER("command", name_, &command_##name_)
+
+const char *cli_value(const hg_arguments *arguments, const char *name, const char *otherwise); /* last one given */
+bool        cli_flag(const hg_arguments *arguments, const char *name);
+bool        cli_number(const hg_arguments *arguments, const char *name, double *value);   /* false and a message when it is no number */
+bool        cli_integer(const hg_arguments *arguments, const char *name, int64_t *value);
+int         cli_fail(void);                                   /* prints "hairgrad: " and hg_message() to stderr, returns 1 */
+hg_progress cli_progress(void);                               /* one line on stderr, rewritten on a terminal, every few seconds otherwise; silent for the first two seconds */
+void        cli_progress_end(void);
+bool        cli_context(hg_ctx **ctx, const hg_arguments *arguments);             /* --threads, --seed, --device */
+#define CLI_CONTEXT_OPTIONS { "threads", "N", "threads to use (default: all cores)" }, { "seed", "N", "seed of everything random (default 1)" }
+bool        cli_interrupted(void *);                          /* true after SIGINT or SIGTERM, once cli_catch_signals was called */
+void        cli_catch_signals(void);
+
+#endif

@@ -1,0 +1,67 @@
+/* export: networks and results for the world outside: ONNX, HDF5 weights, VTKHDF drapes, pictures.
+ *
+ *     hg_onnx_export(ctx, "model.onnx", forward, self, &(hg_onnx_options){ .input = "features", .columns = 748 });
+ *     hg_vtkhdf_create(&file, "drape.vtkhdf", strands, vertices, frames, 30.0);
+ *     hg_image_write_png(image, "drape.png");
+ */
+#ifndef HG_EXPORT_H
+#define HG_EXPORT_H
+
+#include "tasks/tasks.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- ONNX: opset 15, IR 7 ----------------------------------------------------------------------------------- */
+
+/* Runs `forward` once on a [rows,columns] probe with the tape recording everything, and emits one node (or a few) per
+ * recorded call by the op's own emitter. The row axis is dynamic ("strands"). Tensors that are neither the input nor
+ * made on the tape become initialisers. */
+typedef struct { const char *key, *value; } hg_onnx_metadata;
+typedef struct {
+    const char *input, *output, *graph, *doc;
+    int64_t columns;
+    int n_metadata; const hg_onnx_metadata *metadata;
+} hg_onnx_options;
+hg_status hg_onnx_export(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input), void *self, const hg_onnx_options *options);
+hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path);  /* with units, input order, normalisation, groom hash */
+hg_status hg_export_hair_h5(hg_hair_task *task, const char *path);                 /* /model/<layer>/{weight,bias} and the feature table */
+
+/* ---- VTKHDF: PolyData with steps ---------------------------------------------------------------------------- */
+
+typedef struct hg_vtkhdf hg_vtkhdf;
+/* Polylines of `vertices` points; attributes T, S, V and our own data outside /VTKHDF. */
+hg_status hg_vtkhdf_create_strands(hg_vtkhdf **file, const char *path, int64_t frames, int64_t strands, int64_t vertices, double rate);
+hg_status hg_vtkhdf_create_mesh(hg_vtkhdf **file, const char *path, int64_t frames, int64_t vertices, int64_t faces, const int32_t *triangles, double rate);
+hg_status hg_vtkhdf_add(hg_vtkhdf *file, const float *points);                     /* the next frame */
+hg_status hg_vtkhdf_commit(hg_vtkhdf *file);                                       /* frees; the file appears */
+void      hg_vtkhdf_discard(hg_vtkhdf *file);
+
+/* ---- pictures ----------------------------------------------------------------------------------------------- */
+
+typedef struct { int width, height; uint8_t *rgb; } hg_image;                      /* 8 bit, sRGB */
+hg_status hg_image_create(hg_image **image, int width, int height, const uint8_t rgb[3]);
+void      hg_image_destroy(hg_image *image);
+hg_status hg_image_write_png(const hg_image *image, const char *path);
+void      hg_image_paste(hg_image *to, const hg_image *from, int x, int y);
+void      hg_image_text(hg_image *image, int x, int y, int scale, const uint8_t rgb[3], const char *text); /* a small built-in font */
+
+typedef struct { double eye[3], target[3], up[3], height; } hg_camera;             /* orthographic; height in metres */
+typedef struct {
+    hg_camera camera;
+    int64_t body_vertices, body_faces; const float *body; const int32_t *triangles;
+    int64_t strands, vertices; const float *x; const float *colour /* [S,3] linear, NULL: brown with variation by strand */;
+    double hair_width;                   /* m */
+    const char *caption;
+} hg_view;
+/* Anti-aliased, with depth: shaded body, strands with Kajiya-Kay shading and depth-based occlusion. */
+hg_status hg_render(hg_ctx *ctx, hg_image *image, int x, int y, int width, int height, const hg_view *view);
+/* Line plot: curves of n points each; for tip paths and learning curves. */
+typedef struct { const char *name; int64_t n; const double *x, *y; } hg_curve;
+hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const char *title, const char *x_label, const char *y_label, int n, const hg_curve *curves, bool equal_axes);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,71 @@
+/* geometry: spatial structures on plain arrays: closest triangle of a moving body, neighbour grid, clusters.
+ *
+ * Vector and quaternion maths (static inline, float and double, C and CUDA) is in "geometry/vector.h".
+ * Points and vertices are f32 or f64 as `dtype` says; indices are i32. Everything is deterministic, whatever the threads.
+ */
+#ifndef HG_GEOMETRY_H
+#define HG_GEOMETRY_H
+
+#include "tensor/tensor.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- body tree ---------------------------------------------------------------------------------------------- */
+
+/* A bounding-volume tree over triangles. Topology is built once from the rest body; hg_body_tree_refit moves it to the
+ * vertices of a frame (one hg_body_pose per frame of a batch, so that frames can be queried in parallel). */
+typedef struct hg_body_tree hg_body_tree;
+typedef struct hg_body_refit hg_body_refit;                      /* boxes, vertices and normals of one frame */
+
+hg_status hg_body_tree_create(hg_body_tree **tree, int64_t n_vertices, const double *rest_vertices /* [N,3] */, int64_t n_faces, const int32_t *faces /* [F,3] */);
+void      hg_body_tree_destroy(hg_body_tree *tree);
+int64_t   hg_body_tree_faces(const hg_body_tree *tree);
+hg_status hg_body_refit_create(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype);
+void      hg_body_refit_destroy(hg_body_refit *refit);
+hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices /* [N,3], dtype of the refit */);
+
+typedef enum { HG_CONTACT_PLANE, HG_CONTACT_EXACT } hg_contact_mode;
+/* For every point: the closest triangle by true point-triangle distance (ties within 1e-6 m: the one with the largest
+ * |n.(x - a)|, then the lowest index), and the contact as a plane (a, n) whose signed distance is n.(x - a):
+ *   PLANE: the triangle's plane, as published;  EXACT: a the closest point, n the unit vector from it to x, turned
+ *   outwards (sign by angle-weighted normals, Baerentzen and Aanaes 2005), so that n.(x - a) is the signed distance.
+ * triangle [n] i32 is in and out: on entry a guess (or -1) that bounds the search, on exit the closest. A point that is
+ * outside by more than `reach` may be reported with triangle -1, a = x - n reach, n = +Y (reach INFINITY: never).
+ * Non-finite points get triangle -1 and n = 0, a = 0. */
+hg_status hg_body_closest(hg_ctx *ctx, const hg_body_refit *refit, hg_contact_mode mode, double reach, int64_t n,
+                          const void *points /* [n,3] */, int32_t *triangle, void *contact_point /* [n,3] */, void *contact_normal /* [n,3] */);
+/* One point, plain loops over all triangles, f64: what the tree is checked against. */
+void hg_body_closest_brute(int64_t n_vertices, const double *vertices, int64_t n_faces, const int32_t *faces, hg_contact_mode mode,
+                           const double point[3], int32_t *triangle, double contact_point[3], double contact_normal[3]);
+
+/* ---- neighbour grid ----------------------------------------------------------------------------------------- */
+
+/* All pairs within a radius, as rows: neighbours of point i are list[start[i] .. start[i+1]), in ascending order,
+ * i itself left out. Built by counting sort into cells of one radius. Memory is kept from build to build. */
+typedef struct hg_neighbours hg_neighbours;
+hg_status hg_neighbours_create(hg_neighbours **neighbours, int64_t capacity_pairs /* 0: grows as needed */);
+void      hg_neighbours_destroy(hg_neighbours *neighbours);
+/* HG_INVALID when a fixed capacity is too small: the message and `needed` (may be NULL) say the size that would do. */
+hg_status hg_neighbours_build(hg_ctx *ctx, hg_neighbours *neighbours, hg_dtype dtype, int64_t n, const void *points /* [n,3] */, double radius, int64_t *needed);
+const int64_t *hg_neighbours_start(const hg_neighbours *neighbours); /* [n+1] */
+const int32_t *hg_neighbours_list(const hg_neighbours *neighbours);
+
+/* ---- pairs and clusters ------------------------------------------------------------------------------------- */
+
+/* A list of directed pairs (i, j) with, per vertex, the pairs it takes part in from either side. */
+typedef struct { int64_t n_vertices, n_pairs; int32_t *pairs /* [M,2] */; int64_t *start /* [n_vertices+1] */; int32_t *incident /* [2M]: pair * 2 + side */; } hg_pairs;
+/* For every vertex its up to `count` nearest vertices of OTHER strands within radius at rest. points [S*V,3] f64. */
+hg_status hg_pairs_nearest(hg_ctx *ctx, hg_pairs **pairs, int64_t strands, int64_t vertices, const double *points, double radius, int count);
+hg_status hg_pairs_from_list(hg_pairs **pairs, int64_t n_vertices, int64_t n_pairs, const int32_t *list);
+void      hg_pairs_destroy(hg_pairs *pairs);
+
+/* Deterministic clusters of about `size` points in the plane (root UV): balanced recursive cuts, refined by a fixed
+ * number of Lloyd rounds. cluster [n] gets 0 .. *count-1. */
+hg_status hg_clusters(int64_t n, const float *uv /* [n,2] */, int size, int32_t *cluster, int32_t *count);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

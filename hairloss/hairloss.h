@@ -1,0 +1,114 @@
+/* hairloss: the energies of hair, and `physics`: a weighted set of them over a groom.
+ *
+ * One energy is one file: equation, source, parameters with units, and the formula of one site (see
+ * autograd/trace/trace.h). It registers itself; from then on its name works in configs, gradcheck and benches.
+ *
+ *     const hg_term terms[] = { { hg_energy_find("stretch"), 1.0 }, { hg_energy_find("gravity"), 1.0 } };
+ *     hg_physics_create(&physics, ctx, HG_F32, terms, 2, &groom_data);
+ *     hg_tensor *energy = hg_physics_energy(physics, ctx, &frame, x, unweighted);    x [B,S,V,3] -> []
+ *     hg_backward(ctx, energy);                                                      hg_grad(x) is dE/dx
+ *
+ * Units are SI, +Y up. x is [B,S,V,3], root first. Quaternions are (w,x,y,z). Every energy is the SUM over its sites,
+ * roots included. Degenerate input (zero-length edge, antiparallel tangents, q and -q, one-vertex strand, no strand) has
+ * a finite value and gradient:
+ *   rest length where divided by     max(l0, 1e-6 m)
+ *   unit tangent                     e / sqrt(max(e.e, (1e-3 l0)^2))
+ *   transport(a -> b)                (a.h, a x h), h = (a+b)/sqrt(max(|a+b|^2, 1e-4))
+ *   gradient of a norm at zero       zero
+ */
+#ifndef HG_HAIRLOSS_H
+#define HG_HAIRLOSS_H
+
+#include "autograd/autograd.h"
+#include "autograd/trace/trace.h"
+#include "geometry/geometry.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- energies ----------------------------------------------------------------------------------------------- */
+
+typedef enum {
+    HG_SITE_WINDOW,     /* `count` consecutive vertices of a strand */
+    HG_SITE_PAIRS,      /* the pairs of a list: x(0), x(1), rest(0), rest(1), distance */
+    HG_SITE_FIELD       /* a sum over neighbours (`kernel` of distance), then a function of it (`trace`) */
+} hg_site_kind;
+typedef struct { hg_site_kind kind; int count; } hg_site;
+
+typedef struct { const char *name; double value; const char *unit; const char *help; } hg_energy_param;  /* scalar with default; "g.x" style names make a vector */
+typedef struct { const char *name, *choices, *value, *help; } hg_energy_option;                          /* "strain", "published|smooth", "published" */
+
+#define HG_ENERGY_PARAMS 8
+#define HG_ENERGY_OPTIONS 4
+typedef struct {
+    const char *name, *equation, *source;
+    hg_site site;
+    hg_energy_param params[HG_ENERGY_PARAMS];      /* ended by name NULL */
+    hg_energy_option options[HG_ENERGY_OPTIONS];
+    hg_scalar (*trace)(void);                      /* the energy of one site */
+    hg_scalar (*root)(void);                       /* a term once per strand, at the root edge; NULL: none */
+    hg_scalar (*kernel)(void);                     /* field: the weight W of one neighbour, zero from `reach` on */
+    const char *reach;                             /* field: name of the parameter that is half the support (h: support 2h) */
+    bool contact;                                  /* needs the body query */
+    bool zero_at_rest, rigid_invariant;            /* what tests may assume: x = rest and the body away; moved with root_rotation */
+} hg_energy;
+
+#define HG_ENERGY(name_, ...) \
+    static const hg_energy energy_##name_ = { .name = #name_, .trace = name_, __VA_ARGS__ }; \
+    HG_REGISTER("energy", name_, &energy_##name_)
+
+const hg_energy *hg_energy_find(const char *name);               /* NULL and hg_message() with the nearest name */
+
+/* ---- physics ------------------------------------------------------------------------------------------------ */
+
+/* Per-hair parameters, in the order of energy->params; NULL: defaults. option_choices likewise. `weight` multiplies. */
+typedef struct {
+    const hg_energy *energy;
+    double weight;
+    const double *params;
+    const char *const *options;
+} hg_term;
+
+typedef struct { const char *name; const double *values; /* [G,S,V] */ } hg_groom_attribute;
+
+/* Rest data of G grooms with the same S and V; copied. */
+typedef struct {
+    int64_t grooms, strands, vertices;
+    const double *rest;                  /* [G,S,V,3], head rest space [m] */
+    const double *mass;                  /* [G,S,V] [kg]; NULL: 1 */
+    const hg_groom_attribute *attributes; int n_attributes; /* "body_distance", "scalp_distance", "density_rest" (from rest when absent), ... */
+    hg_pairs *const *adhesion;           /* [G]; NULL: built from rest with the radius and count of the term */
+    const hg_body_tree *body;            /* NULL: no contact */
+} hg_groom_data;
+
+/* What a frame brings; f32 or f64 as the physics. NULL where no energy asks for it (an error says which one does). */
+typedef struct {
+    const int32_t *groom;                /* [B], NULL: all 0 */
+    hg_tensor *root_rotation;            /* [B,S,4], NULL: identity */
+    hg_tensor *root_position;            /* [B,S,3], NULL: rest root */
+    hg_tensor *posed;                    /* [B,S,V,3], NULL: from the two above */
+    hg_tensor *predicted, *previous;     /* [B,S,V,3] */
+    hg_tensor *body_vertices;            /* [B,N,3] */
+    double dt;                           /* s */
+} hg_frame;
+
+typedef enum { HG_BACKEND_AUTO, HG_BACKEND_INTERPRETER, HG_BACKEND_COMPILED } hg_backend;
+
+typedef struct hg_physics hg_physics;
+hg_status  hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n, const hg_groom_data *data);
+void       hg_physics_destroy(hg_physics *physics);
+hg_status  hg_physics_backend(hg_physics *physics, hg_backend backend);            /* COMPILED fails, and says so, where no built-in kernel matches */
+const char *hg_physics_backend_name(const hg_physics *physics);                    /* "compiled avx512" or "interpreter", for the log */
+/* One scalar, differentiable in x only; unweighted [n terms] f64 read-outs (may be NULL). Value and gradient are made in one pass. */
+hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted);
+/* The same without a tape: energy per strand and term [B,S,n] f64 (may be NULL), gradient [B,S,V,3] (may be NULL). */
+hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
+/* Measures on the way: vertices deeper inside the body than `depth` [m], roots left out, of the last evaluation with contact. */
+int        hg_physics_terms(const hg_physics *physics);
+const hg_term *hg_physics_term(const hg_physics *physics, int i);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,55 @@
+/* models: layers, and one file per architecture. A model is a declaration, not a training program.
+ *
+ * A model owns its parameters (with names, for checkpoints and export) and has one forward over tensors.
+ *
+ *     hg_model *model;
+ *     hg_model_create(&model, ctx, "neuralocks", &(hg_model_spec){ .inputs = 748, .strand_inputs = 66, .outputs = 72,
+ *                                                                  .width = 256, .depth = 2, .activation = HG_SILU });
+ *     hg_tensor *d = model->forward(model->self, ctx, (hg_tensor *[]){ strand, frame }, 2);
+ *
+ * Parameters are f32, made from (seed, parameter number): the same network everywhere.
+ */
+#ifndef HG_MODELS_H
+#define HG_MODELS_H
+
+#include "autograd/autograd.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+typedef struct hg_model {
+    const char *kind;
+    hg_tensor **params; int n_params;            /* owned by the model; params[i]->name is "first.weight", ... */
+    void *self;
+    hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor **in, int n);
+    void (*destroy)(void *self);
+} hg_model;
+
+typedef struct {
+    int inputs, strand_inputs, outputs;          /* widths; strand inputs come first, the rest are a frame's */
+    int width, depth;                            /* hidden layers */
+    int latent;                                  /* autoencoder */
+    hg_activation activation;
+    uint64_t seed;
+} hg_model_spec;
+
+/* An architecture: one file, registered as kind "model". */
+typedef struct { const char *name, *what; hg_status (*create)(hg_model **model, hg_ctx *ctx, const hg_model_spec *spec); } hg_architecture;
+
+hg_status hg_model_create(hg_model **model, hg_ctx *ctx, const char *architecture, const hg_model_spec *spec);
+void      hg_model_destroy(hg_model *model);
+int64_t   hg_model_weights(const hg_model *model);
+hg_status hg_model_copy(hg_model *to, const hg_model *from);     /* parameters only; same kind and shapes */
+
+/* Layers. */
+typedef struct { hg_tensor *weight /* [in,out] */, *bias /* [out] */; } hg_linear_layer;
+typedef enum { HG_INIT_HE, HG_INIT_XAVIER, HG_INIT_ZERO } hg_init;
+hg_status  hg_linear_layer_create(hg_linear_layer *layer, hg_ctx *ctx, int in, int out, hg_init init, uint64_t seed, const char *name);
+void       hg_linear_layer_destroy(hg_linear_layer *layer);
+hg_tensor *hg_linear_layer_forward(const hg_linear_layer *layer, hg_ctx *ctx, hg_tensor *x, hg_activation activation);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,156 @@
+/* scene: grooms, bodies and motions: files, posing, and procedural ones for a machine with no data.
+ *
+ * World: metres, +Y up, face +Z, +X the character's left. A groom lives in the rest space of its body: the neutral body
+ * at rest. Posing gives every root the rigid frame of its scalp triangle.
+ *
+ *     hg_body *body; hg_groom *groom; hg_motion *motion;
+ *     hg_body_load(&body, "body.h5"); hg_groom_load(&groom, "groom.h5"); hg_motion_load(&motion, "walk.h5", body);
+ *     hg_pose_frame(body, shape, motion, 12.0, vertices, joints);                       the body at frame 12
+ *     hg_pose_roots(body, groom, vertices, NULL, 0, rotation, position);                its strands' root frames
+ *
+ * HDF5 layouts stand in docs/formats.md. Rotations are quaternions (w,x,y,z); local ones are relative to the parent,
+ * about world-parallel axes at rest.
+ */
+#ifndef HG_SCENE_H
+#define HG_SCENE_H
+
+#include "geometry/geometry.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define HG_SHAPES 10
+
+/* ---- groom -------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    int64_t strands, vertices;
+    float   *points;          /* [S,V,3] root first, rest space of the body [m] */
+    int32_t *root_face;       /* [S] face of the body; -1 when not bound yet */
+    float   *root_bary;       /* [S,3] */
+    float   *root_uv;         /* [S,2] scalp projection, [0,1]^2 */
+    char    *name;            /* where it came from */
+    uint64_t body_hash;       /* of the body it is bound to, 0: none */
+} hg_groom;
+
+typedef struct { int64_t strands, kept, bald, broken, zero_length, non_finite; } hg_groom_report; /* what a reader dropped */
+
+hg_status hg_groom_create(hg_groom **groom, int64_t strands, int64_t vertices);
+void      hg_groom_destroy(hg_groom *groom);
+hg_status hg_groom_load(hg_groom **groom, const char *path);                      /* .h5 */
+hg_status hg_groom_save(const hg_groom *groom, const char *path);
+uint64_t  hg_groom_hash(const hg_groom *groom);
+/* Ragged strands as a reader finds them. */
+typedef struct { int64_t strands; int64_t *start /* [S+1] */; float *points /* [start[S],3] */; } hg_curves;
+void      hg_curves_destroy(hg_curves *curves);
+/* By arc length on a centripetal Catmull-Rom curve; drops and counts one-vertex, zero-length and non-finite strands. */
+hg_status hg_groom_from_curves(hg_groom **groom, const hg_curves *curves, int64_t vertices, hg_groom_report *report);
+
+/* ---- body --------------------------------------------------------------------------------------------------- */
+
+#define HG_INFLUENCES 8
+typedef struct {
+    int64_t  vertices, faces, joints;
+    float   *points;          /* [N,3] neutral rest */
+    int32_t *triangles;       /* [F,3] */
+    float   *uv;              /* [N,2] scalp projection where on the scalp, else the mesh's own; may be NULL */
+    char   **joint_name;      /* [J] */
+    int32_t *parent;          /* [J], -1 for the root; parents come first */
+    float   *joint;           /* [J,3] at neutral rest */
+    float   *joint_weight;    /* joints from shaped vertices: sparse rows, see joint_start; so they follow the shape */
+    int32_t *joint_vertex; int32_t *joint_start; /* [J+1] */
+    int32_t *influence;       /* [N,HG_INFLUENCES] joints */
+    float   *weight;          /* [N,HG_INFLUENCES], sum 1 */
+    float   *shapes;          /* [HG_SHAPES,N,3] */
+    char   **shape_name;      /* [HG_SHAPES] */
+    double   shape_spread[HG_SHAPES]; /* deviation to sample with; clipped to [-1,1] */
+    int32_t *scalp; int64_t scalp_faces; /* faces that carry roots, ascending */
+    int32_t *collider; int64_t collider_faces; /* faces that hair can reach */
+    double   scalp_axis[3], scalp_centre[3]; /* of the UV projection */
+} hg_body;
+
+void      hg_body_destroy(hg_body *body);
+hg_status hg_body_load(hg_body **body, const char *path);
+hg_status hg_body_save(const hg_body *body, const char *path);
+uint64_t  hg_body_hash(const hg_body *body);
+int       hg_body_joint(const hg_body *body, const char *name);                   /* -1 when it has none */
+void      hg_scalp_project(const hg_body *body, const float point[3], float uv[2]); /* Lambert azimuthal, no seam */
+
+/* ---- motion ------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    int64_t  frames, joints;
+    double   rate;            /* frames per second */
+    char   **joint_name;      /* those of the body */
+    float   *rotation;        /* [T,J,4] local */
+    float   *translation;     /* [T,3] of the root joint from its rest place [m] */
+    char    *name;
+} hg_motion;
+
+hg_status hg_motion_create(hg_motion **motion, int64_t frames, const hg_body *body, double rate);
+void      hg_motion_destroy(hg_motion *motion);
+hg_status hg_motion_load(hg_motion **motion, const char *path, const hg_body *body); /* joints must be the body's; NULL: not checked */
+hg_status hg_motion_save(const hg_motion *motion, const char *path);
+hg_status hg_motion_resample(hg_motion **out, const hg_motion *motion, double rate); /* slerp, the short way */
+
+/* ---- posing ------------------------------------------------------------------------------------------------- */
+
+typedef struct hg_poser hg_poser;     /* scratch and precomputed data of a body; one per thread of the caller's */
+hg_status hg_poser_create(hg_poser **poser, const hg_body *body, bool collider_only /* skins only vertices of collider and scalp faces */);
+void      hg_poser_destroy(hg_poser *poser);
+int64_t   hg_poser_vertices(const hg_poser *poser);                /* body->vertices, or the kept ones */
+const int32_t *hg_poser_vertex(const hg_poser *poser);             /* [vertices] their numbers in the body */
+const int32_t *hg_poser_collider(const hg_poser *poser, int64_t *faces); /* [faces,3] collider triangles in kept numbering */
+/* Shaped rest, joints recomputed, linear blend skinning. frame is clamped to the clip and truncated to a whole frame.
+ * shape [HG_SHAPES] or NULL. vertices [vertices,3]; joint_position [J,3], joint_rotation [J,4] global (may be NULL). */
+hg_status hg_pose(hg_ctx *ctx, hg_poser *poser, const double *shape, const hg_motion *motion, int64_t frame,
+                  float *vertices, float *joint_position, float *joint_rotation);
+/* Rigid frames of strands' roots on the posed vertices: rotation against the neutral rest triangle (edge 0 -> 1 and the
+ * normal). strand NULL: all of the groom. rotation [n,4], position [n,3]. A degenerate triangle gives the identity. */
+hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groom, const int32_t *strand, int64_t n,
+                        const float *vertices, float *rotation, float *position);
+/* x = p + R (rest - rest_root) */
+void hg_pose_strands(hg_ctx *ctx, int64_t strands, int64_t vertices, const float *rest, const float *rotation, const float *position, float *x);
+
+/* ---- fitting ------------------------------------------------------------------------------------------------ */
+
+typedef struct { double scale, rotation[4], translation[3]; } hg_similarity;       /* x' = scale R x + t */
+/* Found by trimmed ICP without rotation: source vertices near the roots onto the body. */
+hg_status hg_fit_similarity(hg_ctx *ctx, const hg_body *body, int64_t n_vertices, const float *source /* [n,3] */, const hg_groom *groom, hg_similarity *found);
+typedef struct { double moved_median, moved_p95, moved_max; int64_t moved_far, inside_before, inside_after; } hg_fit_report;
+/* Moves the groom, projects roots to the scalp (strands follow), binds them, pushes inside vertices out once. */
+hg_status hg_fit_groom(hg_ctx *ctx, hg_groom *groom, const hg_body *body, const hg_similarity *similarity, hg_fit_report *report);
+
+/* ---- readers ------------------------------------------------------------------------------------------------ */
+
+/* A reader is one file that registers itself under the kind and extension it reads. */
+typedef struct { const char *extension, *what; hg_status (*read)(hg_curves **curves, const char *path); } hg_groom_reader;      /* kind "groom reader" */
+hg_status hg_curves_read(hg_curves **curves, const char *path);                   /* by extension; unknown: lists the known */
+
+typedef struct { int64_t vertices, faces; float *points; int32_t *triangles; char **group; int32_t *group_of_face; int n_groups; } hg_mesh; /* .obj; quads cut at the diagonal 0-2 */
+hg_status hg_mesh_read_obj(hg_mesh **mesh, const char *path);
+void      hg_mesh_destroy(hg_mesh *mesh);
+/* MakeHuman base mesh with an MPFB rig: folder as ../data/bodies (makehuman/base.obj, makehuman/targets, mpfb2/rig.*.json, weights.*.json). */
+hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder, const char *rig /* "cmu_mb" */);
+
+/* A skeleton with its own rest pose and a clip on it, as a file has it. Retargeting makes an hg_motion of it. */
+typedef struct {
+    int64_t joints, frames; double rate;
+    char **name; int32_t *parent; double *offset /* [J,3] rest bone offsets [m] */; double *rotation /* [T,J,4] local */; double *translation /* [T,3] root [m] */;
+} hg_clip;
+void      hg_clip_destroy(hg_clip *clip);
+hg_status hg_clip_read_amc(hg_clip **clip, const char *asf, const char *amc);
+hg_status hg_clip_read_bvh(hg_clip **clip, const char *path);
+hg_status hg_clip_retarget(hg_motion **motion, const hg_clip *clip, const hg_body *body, double rate);
+
+/* ---- procedural scenes -------------------------------------------------------------------------------------- */
+
+hg_status hg_bust_create(hg_body **body);                                         /* head, neck, shoulders; rig with CMU names; 10 shapes */
+hg_status hg_groom_grow(hg_ctx *ctx, hg_groom **groom, const hg_body *body, const char *style /* straight|wavy|curly|short|long */, int64_t strands, int64_t vertices, uint64_t seed);
+hg_status hg_motion_make(hg_motion **motion, const hg_body *body, const char *kind /* nod|turn|shake|walk|jump|mixed */, double seconds, double rate, uint64_t seed);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

@@ -1,0 +1,78 @@
+/* tasks: what a model is trained on. Features, frames, sampling, losses, metrics; from one YAML config.
+ *
+ *     hg_hair_task *hair;
+ *     hg_hair_task_create(&hair, ctx, config, &progress);        loads or makes groom, body, motions; encoder; physics
+ *     hg_train(ctx, hg_hair_model(hair), hg_hair_task_of(hair), &options, &progress, &result);
+ *     hg_hair_evaluate(hair, ctx, clip, shape, &metrics);
+ *
+ * See DESIGN of features in docs/neuralocks.md: order and scaling of every network input.
+ */
+#ifndef HG_TASKS_H
+#define HG_TASKS_H
+
+#include "hairloss/hairloss.h"
+#include "scene/scene.h"
+#include "train/train.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* ---- config ------------------------------------------------------------------------------------------------- */
+
+/* The schema: scene, model, losses (one section per registered energy, made from its parameters), training. */
+const hg_config_row *hg_hair_schema(int *n);
+hg_status hg_hair_config_load(hg_config **config, const char *path);
+
+/* ---- task --------------------------------------------------------------------------------------------------- */
+
+typedef struct hg_hair_task hg_hair_task;
+hg_status hg_hair_task_create(hg_hair_task **task, hg_ctx *ctx, const hg_config *config, const char *run_folder, const hg_progress *progress);
+void      hg_hair_task_destroy(hg_hair_task *task);
+const hg_task *hg_hair_task_of(hg_hair_task *task);
+hg_model *hg_hair_model(hg_hair_task *task);
+hg_train_options hg_hair_train_options(const hg_hair_task *task);
+/* From a run folder: config, checkpoint (best when there is one) and everything ready to drape. */
+hg_status hg_hair_task_open(hg_hair_task **task, hg_ctx *ctx, const char *run_folder, const hg_progress *progress);
+const hg_groom *hg_hair_groom(const hg_hair_task *task);
+const hg_body  *hg_hair_body(const hg_hair_task *task);
+int hg_hair_clips(const hg_hair_task *task, bool held_out);
+const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i);
+
+/* ---- network input and output, for export ------------------------------------------------------------------- */
+
+typedef struct { const char *name; int first, count; double mean, deviation; } hg_feature; /* of the concatenated input, in order */
+int hg_hair_features(const hg_hair_task *task, const hg_feature **features);      /* count; strand features first */
+/* Raw features (not normalised) of a strand subset and of one frame. */
+hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
+hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t frame, const double *shape, float *out /* [frame_inputs] */);
+/* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. */
+hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
+
+/* ---- drape -------------------------------------------------------------------------------------------------- */
+
+/* A whole motion, every strand of the groom (or every `stride`-th). Calls back once per frame, in order. */
+typedef struct { int64_t frame, strands, vertices; const int32_t *strand; const float *x /* [S,V,3] */, *posed; const float *body_vertices /* [N,3] */; const float *root_rotation, *root_position; } hg_drape_frame;
+typedef hg_status (*hg_drape_sink)(void *self, const hg_drape_frame *frame);
+hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t first, int64_t frames, int64_t stride,
+                        hg_drape_sink sink, void *self, const hg_progress *progress);
+
+/* ---- metrics ------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    int64_t frames, strands;
+    double length_error;          /* mean |l - l0| / l0, % */
+    double orientation;           /* mean angle of segments against the posed groom, degrees */
+    double inside, inside_posed;  /* vertices deeper than 0.1 mm in the body, roots left out, % */
+    double energy, energy_posed;  /* total per strand [J], gravity counted from the posed groom */
+    double gravity_body, gravity_body_posed;
+    int n_terms; const char *term[16]; double term_energy[16], term_posed[16];  /* per strand [J] */
+    double tip_amplitude;         /* rms tip speed in the head's frame [m/s] */
+    double tip_lag;               /* s, by the largest correlation of tip and head angular movement; NAN when still */
+} hg_hair_metrics;
+hg_status hg_hair_evaluate(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t frames, hg_hair_metrics *metrics, const hg_progress *progress);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

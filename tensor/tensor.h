@@ -1,0 +1,118 @@
+/* tensor: memory, shapes, devices and kernel launch. Knows nothing of gradients, except one opaque slot for them.
+ *
+ * A tensor is contiguous and row-major, with up to 6 axes, on one device. A context (hg_ctx) owns the device, an
+ * arena for everything made in a step, the seed and the first error.
+ *
+ *     hg_ctx *ctx;
+ *     hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 });
+ *     hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 3, 4 });     lives until hg_step_reset
+ *     hg_tensor *w = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ 4, 2 });   lives until hg_tensor_destroy
+ *     ...
+ *     hg_step_reset(ctx);
+ *     hg_tensor_destroy(w);
+ *     hg_ctx_destroy(ctx);
+ *
+ * Sticky errors. Calls that return hg_tensor * return NULL after an error and accept NULL, so that a formula is checked
+ * once, at its end, with hg_ctx_status. The first error wins and names op, shapes and the caller's file and line.
+ *
+ * Determinism. hg_launch cuts [0, n) into blocks that depend on n alone, never on the number of threads; sums are added
+ * in the order of blocks. The same work gives the same bits with 1 and with 64 threads.
+ *
+ * Data pointers: on the CPU `data` may be read and written directly. Code that runs on any device goes through
+ * hg_tensor_read / hg_tensor_write, hg_launch and hg_product.
+ */
+#ifndef HG_TENSOR_H
+#define HG_TENSOR_H
+
+#include "base/base.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+#define HG_MAX_RANK 6
+
+typedef struct hg_ctx hg_ctx;
+
+typedef struct hg_tensor {
+    void    *data;
+    hg_ctx  *ctx;
+    int64_t  shape[HG_MAX_RANK];   /* axes beyond rank are 1 */
+    int      rank;                 /* 0 is a scalar: one element */
+    hg_dtype dtype;
+    uint32_t version;              /* grows whenever the data is overwritten: hg_tensor_touch */
+    bool     owned;                /* by the caller (hg_tensor_create), not by the step arena */
+    const char *name;              /* for messages, checkpoints and export; NULL or kept alive by whoever set it */
+    void    *tape;                 /* autograd's own */
+} hg_tensor;
+
+/* ---- context ------------------------------------------------------------------------------------------------ */
+
+typedef struct { int threads; uint64_t seed; const char *device; } hg_ctx_options; /* threads 0: all cores; device NULL or "cpu" */
+
+hg_status   hg_ctx_create(hg_ctx **ctx, const hg_ctx_options *options);
+void        hg_ctx_destroy(hg_ctx *ctx);
+hg_status   hg_ctx_status(const hg_ctx *ctx);                    /* the first error since hg_ctx_clear; HG_OK when none */
+const char *hg_ctx_message(const hg_ctx *ctx);                   /* its sentence */
+void        hg_ctx_clear(hg_ctx *ctx);                           /* forget the error */
+hg_status   hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...) HG_PRINTF(3, 4); /* first one wins; also sets hg_message */
+uint64_t    hg_ctx_seed(const hg_ctx *ctx);
+int         hg_ctx_threads(const hg_ctx *ctx);
+const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu" */
+void      **hg_ctx_tape(hg_ctx *ctx);                            /* autograd's slot */
+
+/* Remembers the caller for messages: #define hg_add(ctx, a, b) (hg_add)(hg_at(ctx, __FILE__, __LINE__), a, b) */
+hg_ctx *hg_at(hg_ctx *ctx, const char *file, int line);
+const char *hg_ctx_caller(const hg_ctx *ctx, int *line);
+
+/* ---- step arena --------------------------------------------------------------------------------------------- */
+
+void  *hg_step_alloc(hg_ctx *ctx, size_t bytes);                 /* 64-byte aligned, not zeroed, gone at hg_step_reset; NULL sets the error */
+void   hg_step_reset(hg_ctx *ctx);                               /* everything made in the step is gone; memory is kept for the next */
+size_t hg_step_bytes(const hg_ctx *ctx);                         /* in use now */
+size_t hg_step_high_water(const hg_ctx *ctx);                    /* most ever in use */
+size_t hg_step_reserved(const hg_ctx *ctx);                      /* taken from the system; constant in the steady state */
+void   hg_ctx_on_reset(hg_ctx *ctx, void (*call)(hg_ctx *));      /* autograd drops its tape here */
+
+/* ---- tensors ------------------------------------------------------------------------------------------------ */
+
+hg_tensor *hg_tensor_make(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape);    /* in the step arena, not zeroed */
+hg_tensor *hg_tensor_create(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape);  /* the caller's, zeroed; hg_tensor_destroy */
+hg_tensor *hg_tensor_wrap(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, void *data); /* step tensor over the caller's device memory */
+void       hg_tensor_destroy(hg_tensor *tensor);                 /* NULL is fine */
+int64_t    hg_tensor_count(const hg_tensor *tensor);             /* elements */
+size_t     hg_tensor_bytes(const hg_tensor *tensor);
+hg_tensor *hg_tensor_rows(hg_ctx *ctx, hg_tensor *tensor, int64_t first, int64_t count); /* view along axis 0, without gradient */
+void       hg_tensor_touch(hg_tensor *tensor);                   /* call after overwriting data by hand */
+hg_status  hg_tensor_write(hg_tensor *tensor, const void *from); /* host -> device, all bytes; touches */
+hg_status  hg_tensor_read(const hg_tensor *tensor, void *to);    /* device -> host */
+hg_status  hg_tensor_fill(hg_tensor *tensor, double value);
+hg_status  hg_tensor_copy(hg_tensor *to, const hg_tensor *from); /* same count; converts dtype */
+double     hg_tensor_item(const hg_tensor *tensor, int64_t i);   /* one element as double, any dtype; NAN outside */
+const char *hg_shape_text(const hg_tensor *tensor, char text[96]); /* "f32 [3,4]" */
+
+/* ---- kernels ------------------------------------------------------------------------------------------------ */
+
+/* One body over an index range. `cuda` is the same body as text for NVRTC (NULL until it has one). `block` is how many
+ * indices one block takes (0: 4096); it is part of the result where a kernel reduces, and never depends on threads. */
+typedef struct {
+    const char *name, *cuda;
+    size_t args_size;
+    void (*cpu)(const void *args, int64_t first, int64_t last);
+    int64_t block;
+} hg_kernel;
+
+hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void *args);
+
+/* C = alpha op(A) op(B) + beta C, row-major; op(A) is [m,k], op(B) is [k,n]; ld = elements from row to row as stored.
+ * f32 through oneDNN single-threaded on fixed blocks, f64 by plain loops. Sums over k are cut in fixed chunks. */
+hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
+                     double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
+
+uint16_t hg_bf16_from_f32(float x);                              /* round to nearest even, NaN stays NaN */
+float    hg_f32_from_bf16(uint16_t x);
+
+#ifdef __cplusplus
+}
+#endif
+#endif

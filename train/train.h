@@ -1,0 +1,73 @@
+/* train: optimisers, the trainer, checkpoints and logs. Knows nothing of hair.
+ *
+ * A task says what to learn: `sample` fills a batch from (seed, step) alone, so that a resumed run is exact; `loss`
+ * builds one scalar. The trainer clips, steps Adam, logs, validates and checkpoints.
+ *
+ *     hg_train_options options = hg_train_defaults();
+ *     options.steps = 2000; options.folder = "out/run";
+ *     hg_train(ctx, &model, &task, &options, &progress, &report);
+ *
+ * The run folder: config.yaml (echo), log.jsonl (one object per logged step), checkpoint.h5 (atomic), best.h5, report.json.
+ * Bit for bit: the same run twice, with any number of threads, and interrupted and resumed, gives the same weights.
+ */
+#ifndef HG_TRAIN_H
+#define HG_TRAIN_H
+
+#include "models/models.h"
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* Named numbers of a step or a validation: weighted and unweighted terms, norms, metrics. Added in order. */
+#define HG_REPORT_MAX 64
+typedef struct { int n; struct { const char *name; double value; } item[HG_REPORT_MAX]; } hg_report; /* names are kept by pointer */
+void   hg_report_add(hg_report *report, const char *name, double value);
+double hg_report_get(const hg_report *report, const char *name); /* NAN when absent */
+
+typedef struct {
+    void *self;
+    size_t batch_bytes;                                           /* the trainer owns one batch of this size, zeroed once */
+    hg_status  (*sample)(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);   /* pure: resume is exact */
+    hg_tensor *(*loss)(void *self, hg_ctx *ctx, hg_model *model, const void *batch, hg_report *report);
+    hg_status  (*validate)(void *self, hg_ctx *ctx, hg_model *model, hg_report *report);        /* adds "validation"; NULL: none */
+    hg_status  (*save)(void *self, hg_h5 *file);                  /* what else a checkpoint must hold; NULL: nothing */
+    hg_status  (*load)(void *self, hg_h5 *file);
+} hg_task;
+
+typedef struct {
+    int64_t steps;
+    double learning_rate, final_fraction;  /* cosine from the first to learning_rate * final_fraction */
+    int64_t warm_up;                       /* steps, linear */
+    double clip;                           /* largest global gradient norm; 0: none */
+    double beta1, beta2, epsilon, weight_decay;
+    int64_t log_every, validate_every, checkpoint_every;
+    double minutes;                        /* stops (finished, with the schedule cut) after so much time; 0: no limit. Not reproducible, said in the log */
+    const char *folder;
+    bool resume;                           /* continue from folder/checkpoint.h5 when there is one */
+    bool allow_other_backend;
+    uint64_t config_hash;                  /* a resume on another config is refused */
+    const char *backend;                   /* logged; a resume on another one is refused unless allowed */
+    bool (*stop)(void *);  void *stop_self; /* asked once a step; true: checkpoint and return (signal handlers) */
+} hg_train_options;
+
+typedef struct { int64_t steps; double seconds, loss, best_validation; bool interrupted; } hg_train_result;
+
+hg_train_options hg_train_defaults(void);
+hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_train_options *options, const hg_progress *progress, hg_train_result *result);
+
+/* Adam (Kingma and Ba 2015) with bias correction; state as flat tensors. */
+typedef struct hg_adam hg_adam;
+hg_status hg_adam_create(hg_adam **adam, hg_ctx *ctx, int n, hg_tensor *const *params);
+void      hg_adam_destroy(hg_adam *adam);
+/* Clips the global norm, then steps. A non-finite gradient leaves everything as it was and is HG_NUMERIC. */
+hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double beta2, double epsilon, double weight_decay, double clip, double *gradient_norm);
+
+/* Checkpoints: parameters by name under /model, and what the trainer and the task need to go on. */
+hg_status hg_checkpoint_save(const char *path, const hg_model *model, const hg_adam *adam, int64_t step, const hg_task *task, const char *backend, uint64_t config_hash);
+hg_status hg_checkpoint_load(const char *path, hg_model *model, hg_adam *adam, int64_t *step, const hg_task *task, char **backend, uint64_t *config_hash); /* adam, step, task ... may be NULL */
+
+#ifdef __cplusplus
+}
+#endif
+#endif
