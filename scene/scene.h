@@ -58,8 +58,7 @@ typedef struct {
     char   **joint_name;      /* [J] */
     int32_t *parent;          /* [J], -1 for the root; parents come first */
     float   *joint;           /* [J,3] at neutral rest */
-    float   *joint_weight;    /* joints from shaped vertices: sparse rows, see joint_start; so they follow the shape */
-    int32_t *joint_vertex; int32_t *joint_start; /* [J+1] */
+    float   *joint_shapes;    /* [HG_SHAPES,J,3] how joints follow the shapes: joint + sum of beta_k joint_shapes[k] */
     int32_t *influence;       /* [N,HG_INFLUENCES] joints */
     float   *weight;          /* [N,HG_INFLUENCES], sum 1 */
     float   *shapes;          /* [HG_SHAPES,N,3] */
@@ -128,7 +127,8 @@ hg_status hg_fit_groom(hg_ctx *ctx, hg_groom *groom, const hg_body *body, const 
 typedef struct { const char *extension, *what; hg_status (*read)(hg_curves **curves, const char *path); } hg_groom_reader;      /* kind "groom reader" */
 hg_status hg_curves_read(hg_curves **curves, const char *path);                   /* by extension; unknown: lists the known */
 
-typedef struct { int64_t vertices, faces; float *points; int32_t *triangles; char **group; int32_t *group_of_face; int n_groups; } hg_mesh; /* .obj; quads cut at the diagonal 0-2 */
+typedef struct { int64_t vertices, faces; float *points /* [N,3] */, *uv /* [N,2] of the vertex's first corner; NULL: none */; int32_t *triangles /* [F,3] */;
+                 int32_t *polygon /* [F] of the file that a triangle was cut from, ascending */; char **group; int32_t *group_of_face /* [F], -1: none */; int n_groups; } hg_mesh; /* .obj; polygons are cut as a fan from their first corner: quads at the diagonal 0-2 */
 hg_status hg_mesh_read_obj(hg_mesh **mesh, const char *path);
 void      hg_mesh_destroy(hg_mesh *mesh);
 /* MakeHuman base mesh with an MPFB rig: folder as ../data/bodies (makehuman/base.obj, makehuman/targets, mpfb2/rig.*.json, weights.*.json). */
