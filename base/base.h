@@ -79,6 +79,7 @@ uint64_t hg_random_below(uint64_t seed, uint64_t stream, uint64_t counter, uint6
 typedef struct hg_entry { const char *kind, *name; const void *item; struct hg_entry *next; } hg_entry;
 
 void        hg_register(hg_entry *entry);                     /* keeps the pointer; a second entry of the same kind and name is remembered as a clash */
+const char *hg_registry_clash(void);                          /* which name was registered twice; NULL when none */
 const void *hg_find(const char *kind, const char *name);      /* NULL when unknown */
 int         hg_list(const char *kind, const char **names, int max); /* sorted by name; returns how many there are */
 const char *hg_nearest(const char *kind, const char *name);   /* the known name nearest in spelling, NULL when none is near */
