@@ -1,0 +1,38 @@
+/* physics (private): how an energy that is not a window of a strand takes part.
+ *
+ * Window energies are fused into the strand pass. A pairs or field energy is a pass of its own, run after it: it registers
+ * itself as HG_REGISTER("physics_pass", pairs, &pass) or ("physics_pass", field, &pass), and physics makes one for each
+ * term of that site kind.
+ */
+#ifndef HG_HAIRLOSS_PHYSICS_H
+#define HG_HAIRLOSS_PHYSICS_H
+
+#include "autograd/trace/program.h"
+#include "hairloss/hairloss.h"
+
+/* What a pass is made from; everything it points to lives as long as the physics. */
+typedef struct {
+    hg_ctx *ctx;
+    hg_dtype dtype;
+    hg_term term;              /* params and options are complete: defaults filled in, in the order of the energy */
+    const hg_groom_data *data; /* the physics' own copy; mass and n_attributes as given, mass never NULL */
+} hg_pass_setup;
+
+typedef struct {
+    hg_status (*create)(void **self, const hg_pass_setup *setup);
+    void (*destroy)(void *self); /* NULL is fine */
+    /* x [B,S,V,3]. gradient [B,S,V,3] in dtype, NULL: not wanted; adds weight * dE/dx. *unweighted gets the energy.
+     * per_strand: NULL, or [B,S] values at distance `stride`: gets the energy per strand (set, not added). */
+    hg_status (*run)(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void *gradient,
+                     double *unweighted, double *per_strand, int64_t stride);
+} hg_physics_pass;
+
+/* Scope for tracing a term's formulas: names of params and chosen options filled in. */
+void hg_term_scope(hg_trace_scope *scope, const hg_term *term, int number, uint32_t allowed);
+/* Value of the param `name` of a completed term; NAN when it has none. The choice of the option `name`: NULL when none. */
+double hg_term_param(const hg_term *term, const char *name);
+const char *hg_term_option(const hg_term *term, const char *name);
+/* Attribute [G,S,V] of the groom data, NULL when absent. */
+const double *hg_groom_attribute_find(const hg_groom_data *data, const char *name);
+
+#endif
