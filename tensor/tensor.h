@@ -43,6 +43,7 @@ typedef struct hg_tensor {
     uint32_t version;              /* grows whenever the data is overwritten: hg_tensor_touch */
     bool     owned;                /* by the caller (hg_tensor_create), not by the step arena */
     const char *name;              /* for messages, checkpoints and export; NULL or kept alive by whoever set it */
+    struct hg_tensor *base;        /* what a view looks into, NULL for a tensor of its own */
     void    *tape;                 /* autograd's own */
 } hg_tensor;
 
@@ -50,6 +51,7 @@ typedef struct hg_tensor {
 
 typedef struct { int threads; uint64_t seed; const char *device; } hg_ctx_options; /* threads 0: all cores; device NULL or "cpu" */
 
+/* Tensors that the caller owns are destroyed before their context. */
 hg_status   hg_ctx_create(hg_ctx **ctx, const hg_ctx_options *options);
 void        hg_ctx_destroy(hg_ctx *ctx);
 hg_status   hg_ctx_status(const hg_ctx *ctx);                    /* the first error since hg_ctx_clear; HG_OK when none */
@@ -72,7 +74,17 @@ void   hg_step_reset(hg_ctx *ctx);                               /* everything m
 size_t hg_step_bytes(const hg_ctx *ctx);                         /* in use now */
 size_t hg_step_high_water(const hg_ctx *ctx);                    /* most ever in use */
 size_t hg_step_reserved(const hg_ctx *ctx);                      /* taken from the system; constant in the steady state */
-void   hg_ctx_on_reset(hg_ctx *ctx, void (*call)(hg_ctx *));      /* autograd drops its tape here */
+void   hg_ctx_on_reset(hg_ctx *ctx, void (*call)(hg_ctx *));      /* autograd drops its tape here; up to 8 calls, each once */
+void   hg_ctx_on_destroy(hg_ctx *ctx, void (*call)(hg_ctx *));    /* before the context's memory goes */
+void   hg_ctx_on_tensor_destroy(hg_ctx *ctx, void (*call)(hg_tensor *)); /* autograd frees a leaf's gradient here */
+/* Scratch with a scope: everything made after the mark is gone at the rewind, and the memory is used again. */
+typedef struct { int chunk[2]; size_t used[2]; } hg_step_mark;
+hg_step_mark hg_step_set_mark(const hg_ctx *ctx);
+void   hg_step_rewind(hg_ctx *ctx, hg_step_mark mark);
+/* Guards: with them on, every allocation of the step has a pattern before and behind it; hg_step_check says whether
+ * anything wrote outside. Takes effect at the next hg_step_reset. */
+void      hg_step_guard(hg_ctx *ctx, bool on);
+hg_status hg_step_check(hg_ctx *ctx);
 
 /* ---- tensors ------------------------------------------------------------------------------------------------ */
 
@@ -108,6 +120,11 @@ hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void 
  * f32 through oneDNN single-threaded on fixed blocks, f64 by plain loops. Sums over k are cut in fixed chunks. */
 hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
                      double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
+
+/* Inside a kernel's cpu body: the same product on the calling thread alone, f32 and f64 (nothing else is asked for). */
+void hg_product_here(hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
+                     double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
+int  hg_worker(void);                                            /* inside a kernel: which of hg_ctx_threads() is running, for scratch */
 
 uint16_t hg_bf16_from_f32(float x);                              /* round to nearest even, NaN stays NaN */
 float    hg_f32_from_bf16(uint16_t x);

@@ -1,0 +1,191 @@
+/* The context: device, step arena, seed, caller, and the first error. */
+#include "tensor/context.h"
+
+#include <omp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <string.h>
+
+/* ---- life ---- */
+
+static const hg_device *const devices[] = { &hg_cpu_device };
+
+hg_status hg_ctx_create(hg_ctx **ctx, const hg_ctx_options *options)
+{
+    *ctx = NULL;
+    const char *name = options && options->device ? options->device : "cpu";
+    const hg_device *device = NULL;
+    for (size_t i = 0; i < sizeof devices / sizeof *devices; i++)
+        if (strcmp(devices[i]->name, name) == 0) device = devices[i];
+    if (!device) return hg_fail(HG_UNSUPPORTED, "device \"%s\" is not built into this library: use \"cpu\"", name);
+    int threads = options ? options->threads : 0;
+    if (threads < 0) return hg_fail(HG_INVALID, "threads is %d: give 1 or more, or 0 for all cores", threads);
+    hg_ctx *c = hg_alloc(1, sizeof *c);
+    if (!c) return HG_MEMORY;
+    c->device = device;
+    c->threads = threads > 0 ? threads : omp_get_max_threads();
+    c->seed = options ? options->seed : 0;
+    c->host.device = &hg_cpu_device;
+    c->data.device = device;
+    *ctx = c;
+    return HG_OK;
+}
+
+void hg_ctx_destroy(hg_ctx *ctx)
+{
+    if (!ctx) return;
+    hg_step_reset(ctx);
+    for (int i = 0; i < HG_HOOKS; i++)
+        if (ctx->on_destroy[i]) ctx->on_destroy[i](ctx);
+    hg_arena_free(&ctx->host);
+    hg_arena_free(&ctx->data);
+    if (ctx->workspace) ctx->device->free(ctx->workspace);
+    hg_free(ctx);
+}
+
+uint64_t hg_ctx_seed(const hg_ctx *ctx) { return ctx->seed; }
+int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
+const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
+void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
+
+/* Each call is kept once. Only as many floors as have state of their own use these: eight is plenty, a ninth is told. */
+#define ADD_HOOK(list_, what_)                                                                                         \
+    do {                                                                                                               \
+        int i = 0;                                                                                                     \
+        while (i < HG_HOOKS && (list_)[i] && (list_)[i] != call) i++;                                                  \
+        if (i < HG_HOOKS)                                                                                              \
+            (list_)[i] = call;                                                                                         \
+        else                                                                                                           \
+            hg_ctx_fail(ctx, HG_INVALID, what_ ": there is room for %d calls", HG_HOOKS);                              \
+    } while (0)
+
+void hg_ctx_on_reset(hg_ctx *ctx, void (*call)(hg_ctx *)) { ADD_HOOK(ctx->on_reset, "hg_ctx_on_reset"); }
+void hg_ctx_on_destroy(hg_ctx *ctx, void (*call)(hg_ctx *)) { ADD_HOOK(ctx->on_destroy, "hg_ctx_on_destroy"); }
+void hg_ctx_on_tensor_destroy(hg_ctx *ctx, void (*call)(hg_tensor *))
+{
+    ADD_HOOK(ctx->on_tensor_destroy, "hg_ctx_on_tensor_destroy");
+}
+
+/* ---- errors ---- */
+
+hg_ctx *hg_at(hg_ctx *ctx, const char *file, int line)
+{
+    if (ctx) {
+        ctx->file = file;
+        ctx->line = line;
+    }
+    return ctx;
+}
+
+const char *hg_ctx_caller(const hg_ctx *ctx, int *line)
+{
+    if (line) *line = ctx->line;
+    return ctx->file;
+}
+
+hg_status hg_ctx_status(const hg_ctx *ctx) { return ctx->status; }
+const char *hg_ctx_message(const hg_ctx *ctx) { return ctx->message; }
+
+void hg_ctx_clear(hg_ctx *ctx)
+{
+    ctx->status = HG_OK;
+    ctx->message[0] = 0;
+}
+
+hg_status hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...)
+{
+    char text[HG_CTX_MESSAGE];
+    va_list arguments;
+    va_start(arguments, format);
+    int length = vsnprintf(text, sizeof text, format, arguments);
+    va_end(arguments);
+    if (ctx->file && length >= 0 && (size_t)length < sizeof text)
+        snprintf(text + length, sizeof text - (size_t)length, " (called at %s:%d)", ctx->file, ctx->line);
+    if (ctx->status == HG_OK) {
+        ctx->status = status;
+        memcpy(ctx->message, text, sizeof text);
+    }
+    return hg_fail(status, "%s", text);
+}
+
+/* ---- step arena ---- */
+
+void *hg_step_alloc(hg_ctx *ctx, size_t bytes)
+{
+    void *memory = hg_arena_alloc(&ctx->host, bytes);
+    if (!memory) hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %zu bytes for the step", bytes);
+    return memory;
+}
+
+void hg_step_reset(hg_ctx *ctx)
+{
+    for (int i = 0; i < HG_HOOKS; i++)
+        if (ctx->on_reset[i]) ctx->on_reset[i](ctx);
+    hg_arena_reset(&ctx->host, ctx->guard);
+    hg_arena_reset(&ctx->data, ctx->guard);
+    ctx->file = NULL;
+}
+
+size_t hg_step_bytes(const hg_ctx *ctx) { return ctx->host.bytes + ctx->data.bytes; }
+size_t hg_step_high_water(const hg_ctx *ctx) { return ctx->host.high_water + ctx->data.high_water; }
+size_t hg_step_reserved(const hg_ctx *ctx) { return ctx->host.reserved + ctx->data.reserved + ctx->workspace_bytes; }
+
+hg_step_mark hg_step_set_mark(const hg_ctx *ctx)
+{
+    const hg_arena *arenas[2] = { &ctx->host, &ctx->data };
+    hg_step_mark mark;
+    for (int i = 0; i < 2; i++) {
+        mark.chunk[i] = arenas[i]->current;
+        mark.used[i] = arenas[i]->current < arenas[i]->n_chunks ? arenas[i]->chunks[arenas[i]->current].used : 0;
+    }
+    return mark;
+}
+
+void hg_step_rewind(hg_ctx *ctx, hg_step_mark mark)
+{
+    hg_arena_rewind(&ctx->host, mark.chunk[0], mark.used[0]);
+    hg_arena_rewind(&ctx->data, mark.chunk[1], mark.used[1]);
+}
+
+void hg_step_guard(hg_ctx *ctx, bool on) { ctx->guard = on; }
+
+hg_status hg_step_check(hg_ctx *ctx)
+{
+    if (hg_arena_intact(&ctx->host) && hg_arena_intact(&ctx->data)) return HG_OK;
+    return hg_ctx_fail(ctx, HG_INVALID, "memory of the step was written outside of what was asked for");
+}
+
+/* ---- kernels ---- */
+
+hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void *args)
+{
+    if (n < 0) return hg_ctx_fail(ctx, HG_INVALID, "%s: launched over %lld indices", kernel->name, (long long)n);
+    if (n == 0) return HG_OK;
+    hg_status status = ctx->device->launch(ctx->threads, kernel, n, args);
+    return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
+}
+
+hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
+                     double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c,
+                     int64_t ldc)
+{
+    if (m < 0 || n < 0 || k < 0)
+        return hg_ctx_fail(ctx, HG_INVALID, "product: sizes m %lld, n %lld, k %lld", (long long)m, (long long)n,
+                           (long long)k);
+    if (lda < (transpose_a ? m : k) || ldb < (transpose_b ? k : n) || ldc < n)
+        return hg_ctx_fail(ctx, HG_INVALID, "product: a row is longer than its leading dimension: m %lld, n %lld, "
+                           "k %lld, lda %lld, ldb %lld, ldc %lld", (long long)m, (long long)n, (long long)k,
+                           (long long)lda, (long long)ldb, (long long)ldc);
+    if (m == 0 || n == 0) return HG_OK;
+    size_t bytes = ctx->device->product_workspace(dtype, transpose_a, m, n, k);
+    if (bytes > ctx->workspace_bytes) {
+        void *workspace = ctx->device->alloc(bytes);
+        if (!workspace) return hg_ctx_fail(ctx, HG_MEMORY, "product: out of memory: %zu bytes", bytes);
+        if (ctx->workspace) ctx->device->free(ctx->workspace);
+        ctx->workspace = workspace;
+        ctx->workspace_bytes = bytes;
+    }
+    hg_status status = ctx->device->product(ctx->threads, dtype, transpose_a, transpose_b, m, n, k, alpha, a, lda, b,
+                                            ldb, beta, c, ldc, ctx->workspace);
+    return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
+}
