@@ -173,9 +173,10 @@ hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpo
         return hg_ctx_fail(ctx, HG_INVALID, "product: sizes m %lld, n %lld, k %lld", (long long)m, (long long)n,
                            (long long)k);
     if (lda < (transpose_a ? m : k) || ldb < (transpose_b ? k : n) || ldc < n)
-        return hg_ctx_fail(ctx, HG_INVALID, "product: a row is longer than its leading dimension: m %lld, n %lld, "
-                           "k %lld, lda %lld, ldb %lld, ldc %lld", (long long)m, (long long)n, (long long)k,
-                           (long long)lda, (long long)ldb, (long long)ldc);
+        return hg_ctx_fail(ctx, HG_INVALID,
+                           "product: a row is longer than its leading dimension: m %lld, n %lld, "
+                           "k %lld, lda %lld, ldb %lld, ldc %lld",
+                           (long long)m, (long long)n, (long long)k, (long long)lda, (long long)ldb, (long long)ldc);
     if (m == 0 || n == 0) return HG_OK;
     size_t bytes = ctx->device->product_workspace(dtype, transpose_a, m, n, k);
     if (bytes > ctx->workspace_bytes) {

@@ -6,7 +6,7 @@
 
 typedef struct hg_device {
     const char *name;
-    bool host; /* its memory can be read and written by the processor */
+    bool host;                    /* its memory can be read and written by the processor */
     void *(*alloc)(size_t bytes); /* 64-byte aligned, not zeroed, NULL on failure */
     void (*free)(void *memory);
     hg_status (*upload)(void *device, const void *host, size_t bytes);

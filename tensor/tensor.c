@@ -183,8 +183,7 @@ static void fill_cpu(const void *memory, int64_t first, int64_t last)
         for (int64_t i = first; i < last; i++) ((int32_t *)args->data)[i] = (int32_t)args->value;
         break;
     case HG_BF16:
-        for (int64_t i = first; i < last; i++)
-            ((uint16_t *)args->data)[i] = hg_bf16_from_f32((float)args->value);
+        for (int64_t i = first; i < last; i++) ((uint16_t *)args->data)[i] = hg_bf16_from_f32((float)args->value);
         break;
     }
 }
@@ -209,10 +208,14 @@ typedef struct {
 static inline double load(const void *data, hg_dtype dtype, int64_t i)
 {
     switch (dtype) {
-    case HG_F32: return (double)((const float *)data)[i];
-    case HG_F64: return ((const double *)data)[i];
-    case HG_I32: return ((const int32_t *)data)[i];
-    case HG_BF16: return (double)hg_f32_from_bf16(((const uint16_t *)data)[i]);
+    case HG_F32:
+        return (double)((const float *)data)[i];
+    case HG_F64:
+        return ((const double *)data)[i];
+    case HG_I32:
+        return ((const int32_t *)data)[i];
+    case HG_BF16:
+        return (double)hg_f32_from_bf16(((const uint16_t *)data)[i]);
     }
     return (double)NAN;
 }
@@ -228,17 +231,25 @@ static void copy_cpu(const void *memory, int64_t first, int64_t last)
     const copy_args *args = memory;
     if (args->to_dtype == args->from_dtype) {
         size_t size = hg_dtype_size(args->to_dtype);
-        memcpy((unsigned char *)args->to + (size_t)first * size, (const unsigned char *)args->from + (size_t)first * size,
-               (size_t)(last - first) * size);
+        memcpy((unsigned char *)args->to + (size_t)first * size,
+               (const unsigned char *)args->from + (size_t)first * size, (size_t)(last - first) * size);
         return;
     }
     for (int64_t i = first; i < last; i++) {
         double value = load(args->from, args->from_dtype, i);
         switch (args->to_dtype) {
-        case HG_F32: ((float *)args->to)[i] = (float)value; break;
-        case HG_F64: ((double *)args->to)[i] = value; break;
-        case HG_I32: ((int32_t *)args->to)[i] = to_i32(value); break;
-        case HG_BF16: ((uint16_t *)args->to)[i] = hg_bf16_from_f32((float)value); break;
+        case HG_F32:
+            ((float *)args->to)[i] = (float)value;
+            break;
+        case HG_F64:
+            ((double *)args->to)[i] = value;
+            break;
+        case HG_I32:
+            ((int32_t *)args->to)[i] = to_i32(value);
+            break;
+        case HG_BF16:
+            ((uint16_t *)args->to)[i] = hg_bf16_from_f32((float)value);
+            break;
         }
     }
 }
@@ -265,10 +276,28 @@ double hg_tensor_item(const hg_tensor *tensor, int64_t i)
     if (tensor->ctx->device->download(bytes, at, size) != HG_OK) return (double)NAN;
     double value = 0;
     switch (tensor->dtype) {
-    case HG_F32: { float x; memcpy(&x, bytes, sizeof x); value = (double)x; break; }
-    case HG_F64: { memcpy(&value, bytes, sizeof value); break; }
-    case HG_I32: { int32_t x; memcpy(&x, bytes, sizeof x); value = x; break; }
-    case HG_BF16: { uint16_t x; memcpy(&x, bytes, sizeof x); value = (double)hg_f32_from_bf16(x); break; }
+    case HG_F32: {
+        float x;
+        memcpy(&x, bytes, sizeof x);
+        value = (double)x;
+        break;
+    }
+    case HG_F64: {
+        memcpy(&value, bytes, sizeof value);
+        break;
+    }
+    case HG_I32: {
+        int32_t x;
+        memcpy(&x, bytes, sizeof x);
+        value = x;
+        break;
+    }
+    case HG_BF16: {
+        uint16_t x;
+        memcpy(&x, bytes, sizeof x);
+        value = (double)hg_f32_from_bf16(x);
+        break;
+    }
     }
     return value;
 }

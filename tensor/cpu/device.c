@@ -31,8 +31,7 @@ hg_status hg_cpu_launch(int threads, const hg_kernel *kernel, int64_t n, const v
         return HG_OK;
     }
 #pragma omp parallel for schedule(static) num_threads(threads)
-    for (int64_t b = 0; b < blocks; b++)
-        kernel->cpu(args, b * block, b * block + block < n ? b * block + block : n);
+    for (int64_t b = 0; b < blocks; b++) kernel->cpu(args, b * block, b * block + block < n ? b * block + block : n);
     return HG_OK;
 }
 

@@ -17,8 +17,7 @@ static void product_f32(bool ta, bool tb, int64_t m, int64_t n, int64_t k, float
      * starting threads. The setting belongs to the calling task alone. */
     int threads = omp_get_max_threads();
     if (threads != 1) omp_set_num_threads(1);
-    dnnl_status_t status =
-        dnnl_sgemm(ta ? 'T' : 'N', tb ? 'T' : 'N', m, n, k, alpha, a, lda, b, ldb, beta, c, ldc);
+    dnnl_status_t status = dnnl_sgemm(ta ? 'T' : 'N', tb ? 'T' : 'N', m, n, k, alpha, a, lda, b, ldb, beta, c, ldc);
     if (threads != 1) omp_set_num_threads(threads);
     if (status == dnnl_success) return;
     /* Not seen in practice (it refuses only wrong arguments, or runs out of memory); the plain loop is always there. */
@@ -152,13 +151,29 @@ hg_status hg_cpu_product(int threads, hg_dtype dtype, bool transpose_a, bool tra
                          int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta,
                          void *c, int64_t ldc, void *workspace)
 {
-    static const hg_kernel block = { .name = "product", .args_size = sizeof(product_args), .cpu = block_cpu, .block = 1 };
-    static const hg_kernel chunk = { .name = "product", .args_size = sizeof(product_args), .cpu = chunk_cpu, .block = 1 };
+    static const hg_kernel block = {
+        .name = "product", .args_size = sizeof(product_args), .cpu = block_cpu, .block = 1
+    };
+    static const hg_kernel chunk = {
+        .name = "product", .args_size = sizeof(product_args), .cpu = chunk_cpu, .block = 1
+    };
     static const hg_kernel tree = { .name = "product", .args_size = sizeof(product_args), .cpu = tree_cpu };
     if (dtype != HG_F32 && dtype != HG_F64)
         return hg_fail(HG_UNSUPPORTED, "product: f32 and f64 are possible, not %s", hg_dtype_name(dtype));
-    product_args args = { .dtype = dtype, .ta = transpose_a, .tb = transpose_b, .m = m, .n = n, .k = k, .lda = lda,
-                          .ldb = ldb, .ldc = ldc, .alpha = alpha, .beta = beta, .a = a, .b = b, .c = c };
+    product_args args = { .dtype = dtype,
+                          .ta = transpose_a,
+                          .tb = transpose_b,
+                          .m = m,
+                          .n = n,
+                          .k = k,
+                          .lda = lda,
+                          .ldb = ldb,
+                          .ldc = ldc,
+                          .alpha = alpha,
+                          .beta = beta,
+                          .a = a,
+                          .b = b,
+                          .c = c };
     if (chunked(dtype, transpose_a, k)) {
         args.partial = workspace;
         args.chunk = chunk_length(k);
