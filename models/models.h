@@ -23,6 +23,9 @@ typedef struct hg_model {
     hg_tensor **params; int n_params;            /* owned by the model; params[i]->name is "first.weight", ... */
     void *self;
     hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor **in, int n);
+    /* What the first layer makes of inputs that stay the same over several calls; goes in as in[2] of forward with
+     * in[0] = NULL. NULL: the architecture has no such part. */
+    hg_tensor *(*strand_part)(void *self, hg_ctx *ctx, hg_tensor *strand);
     void (*destroy)(void *self);
 } hg_model;
 
@@ -41,6 +44,8 @@ hg_status hg_model_create(hg_model **model, hg_ctx *ctx, const char *architectur
 void      hg_model_destroy(hg_model *model);
 int64_t   hg_model_weights(const hg_model *model);
 hg_status hg_model_copy(hg_model *to, const hg_model *from);     /* parameters only; same kind and shapes */
+
+hg_tensor *hg_strand_encode(const hg_model *model, hg_ctx *ctx, hg_tensor *strands); /* strand_autoencoder: [N,inputs] -> latent [N,latent] */
 
 /* Layers. */
 typedef struct { hg_tensor *weight /* [in,out] */, *bias /* [out] */; } hg_linear_layer;
