@@ -101,7 +101,7 @@ static hg_status neuralocks_create(hg_model **model, hg_ctx *ctx, const hg_model
     return HG_OK;
 }
 
-static const hg_architecture neuralocks_architecture = {
-    .name = "neuralocks", .what = "a small network per strand (Lin et al. 2025)", .create = neuralocks_create
-};
+static const hg_architecture neuralocks_architecture = { .name = "neuralocks",
+                                                         .what = "a small network per strand (Lin et al. 2025)",
+                                                         .create = neuralocks_create };
 HG_REGISTER("model", neuralocks, &neuralocks_architecture);

@@ -26,8 +26,7 @@ static void autoencoder_destroy(void *self)
 static hg_tensor *half(const autoencoder *net, hg_ctx *ctx, hg_tensor *h, int first)
 {
     const int depth = net->spec.depth;
-    for (int i = 0; i < depth; i++)
-        h = hg_linear_layer_forward(&net->layer[first + i], ctx, h, net->spec.activation);
+    for (int i = 0; i < depth; i++) h = hg_linear_layer_forward(&net->layer[first + i], ctx, h, net->spec.activation);
     return hg_linear_layer_forward(&net->layer[first + depth], ctx, h, HG_IDENTITY);
 }
 

@@ -1,0 +1,137 @@
+/* checkpoint: one HDF5 file from which a run goes on bit for bit:
+ *   /model/<parameter>    f32 weights, by name          /adam/m, /adam/v, /adam/step    the optimiser
+ *   attributes            kind, backend, config_hash (hex), step, best_validation, seconds
+ *   whatever the task adds with its `save`
+ * It is written under a temporary name and renamed: a run killed while it writes leaves the old one. */
+#include "train/state.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+
+hg_status hg_state_read_count(hg_h5 *file, const char *name, int64_t *value)
+{
+    double *read = NULL;
+    HG_TRY(hg_h5_read(file, name, HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&read));
+    const double number = read[0];
+    hg_free(read);
+    if (!(number >= 0 && number < 9e15)) return hg_fail(HG_FORMAT, "%s holds %g, expected a step number", name, number);
+    *value = (int64_t)number;
+    return HG_OK;
+}
+
+static hg_status write_all(hg_h5 *file, const hg_model *model, const hg_adam *adam, const hg_train_state *state,
+                           const hg_task *task, const char *backend, uint64_t config_hash)
+{
+    HG_TRY(hg_h5_group(file, "/model"));
+    HG_TRY(hg_h5_set_text(file, "/model", "kind", model->kind));
+    for (int i = 0; i < model->n_params; i++) {
+        const hg_tensor *param = model->params[i];
+        char name[160];
+        snprintf(name, sizeof name, "/model/%s", param->name);
+        HG_TRY(hg_h5_write(file, name, param->dtype, param->rank, param->shape, param->data));
+    }
+    if (adam) HG_TRY(hg_adam_save(adam, file));
+    char hash[24];
+    snprintf(hash, sizeof hash, "%016" PRIx64, config_hash);
+    HG_TRY(hg_h5_set_text(file, "/", "backend", backend ? backend : ""));
+    HG_TRY(hg_h5_set_text(file, "/", "config_hash", hash));
+    HG_TRY(hg_h5_write_i64(file, "/step", 1, (int64_t[]){ 1 }, &state->step));
+    HG_TRY(hg_h5_write(file, "/best_validation", HG_F64, 1, (int64_t[]){ 1 }, &state->best_validation));
+    HG_TRY(hg_h5_write(file, "/seconds", HG_F64, 1, (int64_t[]){ 1 }, &state->seconds));
+    if (task && task->save) HG_TRY(task->save(task->self, file));
+    return HG_OK;
+}
+
+hg_status hg_state_save(const char *path, const hg_model *model, const hg_adam *adam, const hg_train_state *state,
+                        const hg_task *task, const char *backend, uint64_t config_hash)
+{
+    hg_h5 *file = NULL;
+    HG_TRY(hg_h5_create(&file, path));
+    const hg_status status = write_all(file, model, adam, state, task, backend, config_hash);
+    if (status != HG_OK) {
+        hg_h5_close(file);
+        return status;
+    }
+    return hg_h5_commit(file);
+}
+
+static hg_status read_weights(hg_h5 *file, const char *path, hg_model *model)
+{
+    char *kind = NULL;
+    HG_TRY(hg_h5_get_text(file, "/model", "kind", &kind));
+    const bool same = !strcmp(kind, model->kind);
+    const hg_status status =
+        same ? HG_OK : hg_fail(HG_INVALID, "%s: it holds a %s, expected a %s", path, kind, model->kind);
+    hg_free(kind);
+    HG_TRY(status);
+    for (int i = 0; i < model->n_params; i++) {
+        hg_tensor *param = model->params[i];
+        char name[160];
+        snprintf(name, sizeof name, "/model/%s", param->name);
+        void *values = NULL;
+        HG_TRY(hg_h5_read(file, name, param->dtype, param->rank, param->shape, NULL, &values));
+        const hg_status written = hg_tensor_write(param, values);
+        hg_free(values);
+        HG_TRY(written);
+    }
+    return HG_OK;
+}
+
+static hg_status read_number(hg_h5 *file, const char *name, double *value)
+{
+    double *read = NULL;
+    HG_TRY(hg_h5_read(file, name, HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&read));
+    *value = read[0];
+    hg_free(read);
+    return HG_OK;
+}
+
+static hg_status read_all(hg_h5 *file, const char *path, hg_model *model, hg_adam *adam, hg_train_state *state,
+                          const hg_task *task, char **backend, uint64_t *config_hash)
+{
+    HG_TRY(read_weights(file, path, model));
+    if (adam) HG_TRY(hg_adam_load(adam, file));
+    if (state) {
+        HG_TRY(hg_state_read_count(file, "/step", &state->step));
+        HG_TRY(read_number(file, "/best_validation", &state->best_validation));
+        HG_TRY(read_number(file, "/seconds", &state->seconds));
+    }
+    if (config_hash) {
+        char *hash = NULL;
+        HG_TRY(hg_h5_get_text(file, "/", "config_hash", &hash));
+        *config_hash = strtoull(hash, NULL, 16);
+        hg_free(hash);
+    }
+    if (task && task->load) HG_TRY(task->load(task->self, file));
+    if (backend) HG_TRY(hg_h5_get_text(file, "/", "backend", backend));
+    return HG_OK;
+}
+
+hg_status hg_state_load(const char *path, hg_model *model, hg_adam *adam, hg_train_state *state, const hg_task *task,
+                        char **backend, uint64_t *config_hash)
+{
+    hg_h5 *file = NULL;
+    HG_TRY(hg_h5_open(&file, path));
+    const hg_status status = read_all(file, path, model, adam, state, task, backend, config_hash);
+    hg_h5_close(file);
+    return status;
+}
+
+hg_status hg_checkpoint_save(const char *path, const hg_model *model, const hg_adam *adam, int64_t step,
+                             const hg_task *task, const char *backend, uint64_t config_hash)
+{
+    const hg_train_state state = { .step = step, .best_validation = INFINITY };
+    return hg_state_save(path, model, adam, &state, task, backend, config_hash);
+}
+
+hg_status hg_checkpoint_load(const char *path, hg_model *model, hg_adam *adam, int64_t *step, const hg_task *task,
+                             char **backend, uint64_t *config_hash)
+{
+    hg_train_state state = { 0 };
+    HG_TRY(hg_state_load(path, model, adam, &state, task, backend, config_hash));
+    if (step) *step = state.step;
+    return HG_OK;
+}

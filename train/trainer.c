@@ -1,0 +1,255 @@
+/* trainer: the loop of a training run. It knows a task only by its batch, its loss and its validation.
+ *
+ * The learning rate rises linearly over the warm-up and then falls along a half cosine. With a time limit the cosine
+ * also follows the clock, so that the rate has come down when the time is over: such a run is not reproducible, and its
+ * log says so. Everything else depends on (seed, step) alone. */
+#include "train/log.h"
+#include "train/state.h"
+
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+#include <time.h>
+
+static double seconds_now(void)
+{
+    struct timespec now;
+    clock_gettime(CLOCK_MONOTONIC, &now);
+    return (double)now.tv_sec + 1e-9 * (double)now.tv_nsec;
+}
+
+hg_train_options hg_train_defaults(void)
+{
+    return (hg_train_options){ .steps = 1000,
+                               .learning_rate = 5e-4,
+                               .final_fraction = 0.05,
+                               .warm_up = 100,
+                               .clip = 1,
+                               .beta1 = 0.9,
+                               .beta2 = 0.999,
+                               .epsilon = 1e-8,
+                               .log_every = 20,
+                               .validate_every = 500,
+                               .checkpoint_every = 500 };
+}
+
+static double learning_rate(const hg_train_options *options, int64_t step, double elapsed)
+{
+    if (step < options->warm_up) return options->learning_rate * (double)(step + 1) / (double)options->warm_up;
+    const double span = (double)(options->steps - options->warm_up);
+    double along = span > 0 ? (double)(step - options->warm_up) / span : 1;
+    if (options->minutes > 0) along = fmax(along, elapsed / (60 * options->minutes));
+    along = fmin(fmax(along, 0), 1);
+    const double low = options->final_fraction;
+    return options->learning_rate * (low + (1 - low) * 0.5 * (1 + cos(3.14159265358979323846 * along)));
+}
+
+/* Everything of one run, so that its parts can be functions of a screen. */
+typedef struct {
+    hg_ctx *ctx;
+    hg_model *model;
+    const hg_task *task;
+    const hg_train_options *options;
+    const hg_progress *progress;
+    hg_adam *adam;
+    hg_run_log *log;
+    char *checkpoint, *best, *report;
+    void *batch;
+    hg_train_state state;
+    hg_report last;      /* of the last logged step */
+    hg_report validated; /* of the last validation */
+    double started, logged, loss;
+    int64_t logged_step, first_step;
+} run;
+
+static double elapsed(const run *r) { return r->state.seconds + seconds_now() - r->started; }
+
+static hg_status save(run *r, const char *path)
+{
+    if (!path) return HG_OK;
+    hg_train_state state = r->state;
+    state.seconds = elapsed(r);
+    return hg_state_save(path, r->model, r->adam, &state, r->task, r->options->backend, r->options->config_hash);
+}
+
+static hg_status resume(run *r)
+{
+    const hg_train_options *options = r->options;
+    if (!r->checkpoint || !options->resume || !hg_file_exists(r->checkpoint)) return HG_OK;
+    char *backend = NULL;
+    uint64_t config_hash = 0;
+    HG_TRY(hg_state_load(r->checkpoint, r->model, r->adam, &r->state, r->task, &backend, &config_hash));
+    hg_status status = HG_OK;
+    if (config_hash != options->config_hash)
+        status = hg_fail(HG_INVALID,
+                         "%s: it belongs to another config; train into another folder, or start again without resuming",
+                         r->checkpoint);
+    else if (strcmp(backend, options->backend ? options->backend : "") && !options->allow_other_backend)
+        status = hg_fail(HG_INVALID,
+                         "%s: it was trained on \"%s\" and this is \"%s\", which rounds differently; allow another "
+                         "back end to go on anyway",
+                         r->checkpoint, backend, options->backend ? options->backend : "");
+    hg_free(backend);
+    return status;
+}
+
+static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
+{
+    const hg_train_options *options = r->options;
+    const uint64_t step = (uint64_t)r->state.step;
+    hg_ctx_clear(r->ctx);
+    hg_step_reset(r->ctx);
+    HG_TRY(r->task->sample(r->task->self, r->ctx, hg_ctx_seed(r->ctx), step, r->batch));
+    hg_tensor *loss = r->task->loss(r->task->self, r->ctx, r->model, r->batch, report);
+    HG_TRY(hg_ctx_status(r->ctx));
+    if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %llu", (unsigned long long)step + 1);
+    r->loss = hg_tensor_item(loss, 0);
+    if (!isfinite(r->loss))
+        return hg_fail(HG_NUMERIC, "trainer: the loss is %g at step %llu; try a smaller learning rate", r->loss,
+                       (unsigned long long)step + 1);
+    HG_TRY(hg_backward(r->ctx, loss));
+    *rate = learning_rate(options, r->state.step, elapsed(r));
+    HG_TRY(hg_adam_step(r->adam, *rate, options->beta1, options->beta2, options->epsilon, options->weight_decay,
+                        options->clip, norm));
+    r->state.step++;
+    return HG_OK;
+}
+
+static hg_status validate(run *r)
+{
+    if (!r->task->validate) return HG_OK;
+    hg_report report = { 0 };
+    hg_ctx_clear(r->ctx);
+    hg_step_reset(r->ctx);
+    HG_TRY(r->task->validate(r->task->self, r->ctx, r->model, &report));
+    HG_TRY(hg_ctx_status(r->ctx));
+    r->validated = report;
+    HG_TRY(hg_run_log_write(r->log, r->state.step, &report));
+    const double value = hg_report_get(&report, "validation");
+    if (value < r->state.best_validation) {
+        r->state.best_validation = value;
+        return save(r, r->best);
+    }
+    return HG_OK;
+}
+
+static void tell(const run *r)
+{
+    const hg_train_options *options = r->options;
+    const double now = elapsed(r), session = seconds_now() - r->started;
+    const int64_t done = r->state.step - r->first_step;
+    const double speed = session > 0 ? (double)done / session : 0;
+    double left = speed > 0 ? (double)(options->steps - r->state.step) / speed : 0;
+    double fraction = (double)r->state.step / (double)options->steps;
+    if (options->minutes > 0) {
+        left = fmin(left, fmax(0, 60 * options->minutes - now));
+        fraction = fmax(fraction, now / (60 * options->minutes));
+    }
+    char validation[48] = "";
+    if (isfinite(hg_report_get(&r->validated, "validation")))
+        snprintf(validation, sizeof validation, "  validation %.4g", hg_report_get(&r->validated, "validation"));
+    hg_progress_report(r->progress, fmin(fraction, 1), "step %lld of %lld  loss %.4g%s  %.1f steps/s  %lld:%02lld left",
+                       (long long)r->state.step, (long long)options->steps, r->loss, validation, speed,
+                       (long long)(left / 60), (long long)left % 60);
+}
+
+static hg_status write_log(run *r, hg_report *report, double norm, double rate)
+{
+    const double now = seconds_now(), passed = now - r->logged;
+    hg_report_add(report, "loss", r->loss);
+    hg_report_add(report, "gradient_norm", norm);
+    hg_report_add(report, "learning_rate", rate);
+    hg_report_add(report, "steps_per_second", passed > 0 ? (double)(r->state.step - r->logged_step) / passed : 0);
+    hg_report_add(report, "seconds", elapsed(r));
+    r->logged = now;
+    r->logged_step = r->state.step;
+    r->last = *report;
+    return hg_run_log_write(r->log, r->state.step, report);
+}
+
+static bool every(int64_t step, int64_t period) { return period > 0 && step % period == 0; }
+
+static hg_status loop(run *r, bool *interrupted)
+{
+    const hg_train_options *options = r->options;
+    r->started = r->logged = seconds_now();
+    r->first_step = r->logged_step = r->state.step;
+    *interrupted = false;
+    while (r->state.step < options->steps) {
+        if (options->stop && options->stop(options->stop_self)) {
+            *interrupted = true;
+            return save(r, r->checkpoint);
+        }
+        if (options->minutes > 0 && elapsed(r) >= 60 * options->minutes) break;
+        hg_report report = { 0 };
+        double norm = 0, rate = 0;
+        HG_TRY(one_step(r, &report, &norm, &rate));
+        const int64_t step = r->state.step;
+        if (every(step, options->log_every) || step == options->steps) HG_TRY(write_log(r, &report, norm, rate));
+        if (every(step, options->validate_every) && step != options->steps) HG_TRY(validate(r));
+        if (every(step, options->checkpoint_every) && step != options->steps) HG_TRY(save(r, r->checkpoint));
+        tell(r);
+    }
+    HG_TRY(validate(r));
+    return save(r, r->checkpoint);
+}
+
+static hg_status prepare(run *r)
+{
+    const char *folder = r->options->folder;
+    r->state.best_validation = INFINITY;
+    r->batch = hg_alloc(1, r->task->batch_bytes ? r->task->batch_bytes : 1);
+    if (!r->batch) return HG_MEMORY;
+    HG_TRY(hg_adam_create(&r->adam, r->ctx, r->model->n_params, r->model->params));
+    if (!folder) return HG_OK;
+    HG_TRY(hg_folder_create(folder));
+    r->checkpoint = hg_path_join(folder, "checkpoint.h5");
+    r->best = hg_path_join(folder, "best.h5");
+    r->report = hg_path_join(folder, "report.json");
+    if (!r->checkpoint || !r->best || !r->report) return HG_MEMORY;
+    HG_TRY(resume(r));
+    HG_TRY(hg_run_log_open(&r->log, folder, r->state.step));
+    if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
+    if (r->options->minutes > 0)
+        HG_TRY(hg_run_log_note(r->log, r->state.step, "note",
+                               "a time limit steers the learning rate: this run cannot be repeated bit for bit"));
+    return HG_OK;
+}
+
+static hg_status finish(run *r)
+{
+    if (!r->report) return HG_OK;
+    hg_report report = { 0 };
+    hg_report_add(&report, "steps", (double)r->state.step);
+    hg_report_add(&report, "training_seconds", elapsed(r));
+    hg_report_add(&report, "best_validation", r->state.best_validation);
+    for (int i = 0; i < r->last.n; i++) hg_report_add(&report, r->last.item[i].name, r->last.item[i].value);
+    for (int i = 0; i < r->validated.n; i++)
+        hg_report_add(&report, r->validated.item[i].name, r->validated.item[i].value);
+    return hg_report_write(r->report, &report);
+}
+
+hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_train_options *options,
+                   const hg_progress *progress, hg_train_result *result)
+{
+    if (options->steps < 1)
+        return hg_fail(HG_INVALID, "trainer: %lld steps; at least 1 is needed", (long long)options->steps);
+    run r = { .ctx = ctx, .model = model, .task = task, .options = options, .progress = progress };
+    bool interrupted = false;
+    hg_status status = prepare(&r);
+    if (status == HG_OK) status = loop(&r, &interrupted);
+    if (status == HG_OK) status = finish(&r);
+    if (result)
+        *result = (hg_train_result){ .steps = r.state.step,
+                                     .seconds = r.started > 0 ? elapsed(&r) : 0,
+                                     .loss = r.loss,
+                                     .best_validation = r.state.best_validation,
+                                     .interrupted = interrupted };
+    hg_run_log_close(r.log);
+    hg_adam_destroy(r.adam);
+    hg_free(r.batch);
+    hg_free(r.checkpoint);
+    hg_free(r.best);
+    hg_free(r.report);
+    return status;
+}
