@@ -133,6 +133,8 @@ hg_status hg_h5_shape(hg_h5 *file, const char *name, int *rank, int64_t shape[6]
 /* Reads a whole dataset into new memory, converted to dtype. expected[i] >= 0 must match, -1 accepts any; shape gets
  * the real one (may be NULL). Rank and size are checked; the message names file, dataset, expected and found. */
 hg_status hg_h5_read(hg_h5 *file, const char *name, hg_dtype dtype, int rank, const int64_t *expected, int64_t *shape, void **data);
+hg_status hg_h5_read_i64(hg_h5 *file, const char *name, int rank, const int64_t *expected, int64_t *shape, int64_t **data);
+hg_status hg_h5_read_u8(hg_h5 *file, const char *name, int rank, const int64_t *expected, int64_t *shape, uint8_t **data);
 hg_status hg_h5_read_rows(hg_h5 *file, const char *name, hg_dtype dtype, int64_t first, int64_t count, void *data);
 /* Attributes: object "" or "/" is the file itself. */
 hg_status hg_h5_set_text(hg_h5 *file, const char *object, const char *name, const char *text);
@@ -140,8 +142,10 @@ hg_status hg_h5_set_number(hg_h5 *file, const char *object, const char *name, do
 hg_status hg_h5_set_integers(hg_h5 *file, const char *object, const char *name, int n, const int64_t *values);
 hg_status hg_h5_get_text(hg_h5 *file, const char *object, const char *name, char **text);
 hg_status hg_h5_get_number(hg_h5 *file, const char *object, const char *name, double *number);
+hg_status hg_h5_get_integers(hg_h5 *file, const char *object, const char *name, int n, int64_t *values);
 hg_status hg_h5_write_texts(hg_h5 *file, const char *name, int n, const char *const *texts);       /* a list of strings */
 hg_status hg_h5_read_texts(hg_h5 *file, const char *name, int *n, char ***texts);                  /* free with hg_texts_free */
+hg_status hg_h5_names(hg_h5 *file, const char *group, int *n, char ***names);                       /* of the members of a group, sorted; "" is the file; free with hg_texts_free */
 void      hg_texts_free(char **texts, int n);
 
 /* ---- configs ------------------------------------------------------------------------------------------------ */
