@@ -1,6 +1,7 @@
 /* HDF5 files, opened and closed: the library's own error stack is silenced and becomes one sentence of ours; new files
  * live under a temporary name until they are complete; object times are off, so that the same data gives the same
  * bytes. Datasets are in h5_data.c, attributes and strings in h5_text.c. Works with HDF5 1.10 and 1.14. */
+#define _GNU_SOURCE /* fallocate, memfd_create */
 #include "base/h5.h"
 
 #include <errno.h>
