@@ -49,7 +49,7 @@ hg_status raster_body_build(raster_body *body, const raster_view *view, const hg
         if (!volume->density || !vec_finite(p)) continue;
         vec n_world = vec_add(vec_add(vec_scale(view->right, n_view.x), vec_scale(view->up, n_view.y)),
                               vec_scale(view->forward, -n_view.z));
-        vec above = vec_along(p, n_world, volume->cell);
+        vec above = vec_along(p, n_world, 0.4f * volume->cell);
         body->lit[2 * i] = raster_volume_through(volume, above, view->light_world[0], 0.0f, 0.3f);
         body->lit[2 * i + 1] = raster_volume_open(volume, view, above, 0.0f);
     }
@@ -111,7 +111,7 @@ static void draw_face(const vec p[3], int32_t number, int left, int top, int til
 /* A matte, slightly translucent surface: red light wraps further around an edge than blue. */
 static vec shade_body(const raster_view *view, vec n, float key_lit, float open)
 {
-    const vec albedo = { 0.600f, 0.425f, 0.345f }, wrap = { 0.34f, 0.20f, 0.14f };
+    const vec albedo = { 0.545f, 0.390f, 0.318f }, wrap = { 0.34f, 0.20f, 0.14f };
     const vec sky = { 0.36f, 0.38f, 0.42f }, ground = { 0.15f, 0.125f, 0.11f };
     float inside = n.z < 0.0f ? 0.35f : 1.0f; /* the back of an open mesh: mouth, eye sockets, neck */
     if (n.z < 0.0f) n = vec_scale(n, -1.0f);

@@ -35,7 +35,7 @@ static float noise(int64_t strand, uint32_t what)
 
 static fibre fibre_of(const hg_view *scene, int64_t strand)
 {
-    const vec dark = { 0.060f, 0.026f, 0.013f }, light = { 0.215f, 0.105f, 0.050f };
+    const vec dark = { 0.055f, 0.022f, 0.010f }, light = { 0.235f, 0.105f, 0.043f };
     fibre f;
     float a = noise(strand, 1), b = noise(strand, 2);
     if (scene->colour) {
@@ -65,7 +65,7 @@ static vec shade(const raster_view *view, const fibre *f, vec tangent, const rea
     float theta_out = asinf(sine_out);
     vec sum =
         vec_scale(vec_mul(base, vec_mix(ground, sky, 0.5f + 0.5f * sqrtf(fmaxf(0.0f, 1.0f - tangent.y * tangent.y)))),
-                  1.15f * light->open);
+                  0.85f * light->open);
     const float lit[RASTER_LIGHTS] = { light->key, light->fill, light->rim };
     vec tinted = { powf(base.x, 0.6f), powf(base.y, 0.6f), powf(base.z, 0.6f) };
     for (int k = 0; k < RASTER_LIGHTS; k++) {
@@ -76,10 +76,11 @@ static vec shade(const raster_view *view, const fibre *f, vec tangent, const rea
         float theta = 0.5f * (asinf(sine_in) + theta_out) + f->tilt;
         float cosine_phi = clampf((towards.z - sine_in * sine_out) / (cosine_in * cosine_out), -1.0f, 1.0f);
         float half_phi = sqrtf(0.5f + 0.5f * cosine_phi);
-        float white = 0.085f * f->strength * half_phi * bell(theta + 0.13f, 0.11f);
-        float coloured = 0.42f * f->strength * half_phi * half_phi * bell(theta - 0.10f, 0.20f);
+        float gloss = k == 1 ? 0.35f : 1.0f; /* the fill light is large and soft: hardly a highlight */
+        float white = 0.15f * gloss * f->strength * half_phi * bell(theta + 0.14f, 0.10f);
+        float coloured = 0.75f * gloss * f->strength * half_phi * half_phi * bell(theta - 0.10f, 0.17f);
         float through = 0.55f * expf(-3.65f * cosine_phi - 3.98f) * bell(theta, 0.28f);
-        float diffuse = 0.75f * (0.62f + 0.38f * cosine_phi);
+        float diffuse = 0.62f * (0.60f + 0.40f * cosine_phi);
         vec answer = vec_scale(base, diffuse);
         answer = vec_along(answer, tinted, 0.5f * coloured + through);
         answer = vec_add(answer, (vec){ white, white, white });
