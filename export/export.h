@@ -37,6 +37,25 @@ hg_status hg_vtkhdf_create_mesh(hg_vtkhdf **file, const char *path, int64_t fram
 hg_status hg_vtkhdf_add(hg_vtkhdf *file, const float *points);                     /* the next frame */
 hg_status hg_vtkhdf_commit(hg_vtkhdf *file);                                       /* frees; the file appears */
 void      hg_vtkhdf_discard(hg_vtkhdf *file);
+/* Our own data, in the group /hairgrad, which other programs pass over: a dataset written whole; the next row of a
+ * dataset [frames,...] (the shape is that of one row; the first call makes it); a text attribute of the group. */
+hg_status hg_vtkhdf_write_extra(hg_vtkhdf *file, const char *name, hg_dtype dtype, int rank, const int64_t *shape, const void *data);
+hg_status hg_vtkhdf_add_extra(hg_vtkhdf *file, const char *name, hg_dtype dtype, int rank, const int64_t *shape, const void *row);
+hg_status hg_vtkhdf_set_text(hg_vtkhdf *file, const char *name, const char *text);
+
+/* A drape as `hairgrad render` likes it: the strands in `path`, and the body in `body_path` (NULL: none), both VTKHDF.
+ * Beside the strands stand /hairgrad/rest [S,V,3], strand [S], root_rotation [T,S,4] and root_position [T,S,3], from
+ * which the rest and the rigidly posed groom can be drawn, and /hairgrad's attribute "body", the body file's name.
+ *
+ *     hg_drape_file_create(&file, "drape.vtkhdf", "body.vtkhdf", groom, body, frames, motion->rate);
+ *     hg_hair_drape(task, ctx, motion, shape, 0, frames, 1, hg_drape_file_add, file, &progress);
+ *     hg_drape_file_commit(file);
+ */
+typedef struct hg_drape_file hg_drape_file;
+hg_status hg_drape_file_create(hg_drape_file **file, const char *path, const char *body_path, const hg_groom *groom, const hg_body *body, int64_t frames, double rate);
+hg_status hg_drape_file_add(void *file, const hg_drape_frame *frame);              /* an hg_drape_sink */
+hg_status hg_drape_file_commit(hg_drape_file *file);                               /* frees; both files appear */
+void      hg_drape_file_discard(hg_drape_file *file);                              /* frees; NULL is fine */
 
 /* ---- pictures ----------------------------------------------------------------------------------------------- */
 

@@ -203,12 +203,12 @@ void hg_image_text(hg_image *image, int x, int y, int scale, const uint8_t rgb[3
     double half = scale == 1 ? 0.5 : 0.42;
     for (int letter = 0; text[letter]; letter++) {
         const uint8_t *glyph = hg_glyph(text[letter]);
-        int left = x + 6 * scale * letter;
+        int left = x + 6 * scale * letter, top = y + scale * hg_glyph_drop(text[letter]);
         for (int row = 0; row < 7 * scale; row++)
             for (int column = 0; column < 5 * scale; column++) {
                 double px = (column + 0.5) / scale - 0.5, py = (row + 0.5) / scale - 0.5;
                 float alpha = scale == 1 ? (float)dot(glyph, column, row) : ink(glyph, px, py, half, 1.0 / scale);
-                hg_draw_pixel(image, left + column, y + row, rgb, alpha);
+                hg_draw_pixel(image, left + column, top + row, rgb, alpha);
             }
     }
 }

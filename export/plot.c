@@ -1,0 +1,202 @@
+/* Line plots: axes with round tick values, labels, a legend, several curves. */
+#include "export/draw.h"
+
+#include <float.h>
+#include <math.h>
+#include <stdio.h>
+#include <string.h>
+
+static const uint8_t ink[3] = { 40, 42, 48 }, grid_colour[3] = { 214, 216, 220 }, paper[3] = { 255, 255, 255 };
+
+/* Told apart by colour-blind readers too (Okabe and Ito). */
+static const uint8_t curve_colour[8][3] = { { 0, 114, 178 },   { 213, 94, 0 },  { 0, 158, 115 },  { 204, 121, 167 },
+                                            { 120, 120, 120 }, { 230, 159, 0 }, { 86, 180, 233 }, { 60, 60, 60 } };
+
+typedef struct {
+    double low, high;
+} range;
+
+static range range_of(int n, const hg_curve *curves, bool vertical)
+{
+    range r = { DBL_MAX, -DBL_MAX };
+    for (int c = 0; c < n; c++)
+        for (int64_t i = 0; i < curves[c].n; i++) {
+            double value = vertical ? curves[c].y[i] : curves[c].x[i];
+            if (!isfinite(curves[c].x[i]) || !isfinite(curves[c].y[i])) continue;
+            r.low = fmin(r.low, value);
+            r.high = fmax(r.high, value);
+        }
+    if (r.low > r.high) return (range){ 0.0, 1.0 };
+    if (r.high - r.low < 1e-12 * fmax(fabs(r.low), fabs(r.high)) || r.high == r.low) {
+        double around = r.low == 0.0 ? 1.0 : 0.1 * fabs(r.low);
+        return (range){ r.low - around, r.high + around };
+    }
+    double margin = 0.05 * (r.high - r.low);
+    return (range){ r.low - margin, r.high + margin };
+}
+
+/* 1, 2 or 5 times a power of ten, so that about `count` ticks fit. */
+static double tick_step(range r, int count)
+{
+    double rough = (r.high - r.low) / count, power = pow(10.0, floor(log10(rough))), part = rough / power;
+    return power * (part <= 1.0 ? 1.0 : part <= 2.0 ? 2.0 : part <= 5.0 ? 5.0 : 10.0);
+}
+
+static void tick_text(char *text, size_t size, double value, double step)
+{
+    if (fabs(value) < 1e-9 * step) value = 0.0;
+    double largest = fmax(fabs(value), step);
+    int decimals = (int)ceil(-log10(step) - 1e-9);
+    if (largest >= 1e5 || step < 1e-4)
+        snprintf(text, size, "%.3g", value);
+    else
+        snprintf(text, size, "%.*f", decimals < 0 ? 0 : decimals, value);
+}
+
+/* Text turned by a quarter to the left, for the vertical axis. */
+static hg_status text_upwards(hg_image *image, int x, int y, int scale, const char *text)
+{
+    int length = hg_text_width(text, scale), height = 9 * scale;
+    if (length == 0) return HG_OK;
+    hg_image *flat;
+    HG_TRY(hg_image_create(&flat, length, height, paper));
+    hg_image_text(flat, 0, 0, scale, ink, text);
+    for (int row = 0; row < height; row++)
+        for (int column = 0; column < length; column++) {
+            float dark = 1.0f - (float)(flat->rgb[3 * ((size_t)row * (size_t)length + (size_t)column)] - ink[0]) /
+                                    (float)(paper[0] - ink[0]);
+            hg_draw_pixel(image, x + row, y + length - 1 - column, ink, dark);
+        }
+    hg_image_destroy(flat);
+    return HG_OK;
+}
+
+typedef struct {
+    int left, top, width, height; /* of the field in pixels */
+    range x, y;
+} field;
+
+static double across(const field *f, double x) { return f->left + (x - f->x.low) / (f->x.high - f->x.low) * f->width; }
+
+static double down(const field *f, double y)
+{
+    return f->top + f->height - (y - f->y.low) / (f->y.high - f->y.low) * f->height;
+}
+
+static void draw_axes(hg_image *image, const field *f, int scale)
+{
+    char text[32];
+    double step = tick_step(f->x, f->width / (60 * scale) + 1);
+    int64_t last = (int64_t)floor(f->x.high / step + 1e-9);
+    for (int64_t i = (int64_t)ceil(f->x.low / step - 1e-9); i <= last; i++) {
+        double x = across(f, (double)i * step);
+        hg_draw_line(image, x, f->top, x, f->top + f->height, 1.0, grid_colour);
+        tick_text(text, sizeof text, (double)i * step, step);
+        hg_image_text(image, (int)x - hg_text_width(text, scale) / 2, f->top + f->height + 4 * scale, scale, ink, text);
+    }
+    step = tick_step(f->y, f->height / (40 * scale) + 1);
+    last = (int64_t)floor(f->y.high / step + 1e-9);
+    for (int64_t i = (int64_t)ceil(f->y.low / step - 1e-9); i <= last; i++) {
+        double y = down(f, (double)i * step);
+        hg_draw_line(image, f->left, y, f->left + f->width, y, 1.0, grid_colour);
+        tick_text(text, sizeof text, (double)i * step, step);
+        hg_image_text(image, f->left - hg_text_width(text, scale) - 4 * scale, (int)y - 3 * scale, scale, ink, text);
+    }
+    double right = f->left + f->width, bottom = f->top + f->height;
+    hg_draw_line(image, f->left, bottom, right, bottom, 1.5, ink);
+    hg_draw_line(image, f->left, f->top, f->left, bottom, 1.5, ink);
+}
+
+/* Clips a line to the field (Liang and Barsky 1984), so that no curve leaves it. */
+static bool clip(const field *f, double p[4])
+{
+    double from = 0.0, to = 1.0, dx = p[2] - p[0], dy = p[3] - p[1];
+    double towards[4] = { -dx, dx, -dy, dy };
+    double room[4] = { p[0] - f->left, f->left + f->width - p[0], p[1] - f->top, f->top + f->height - p[1] };
+    for (int k = 0; k < 4; k++) {
+        if (towards[k] == 0.0) {
+            if (room[k] < 0.0) return false;
+            continue;
+        }
+        double t = room[k] / towards[k];
+        if (towards[k] < 0.0)
+            from = fmax(from, t);
+        else
+            to = fmin(to, t);
+    }
+    if (from > to) return false;
+    double x = p[0], y = p[1];
+    p[0] = x + from * dx, p[1] = y + from * dy;
+    p[2] = x + to * dx, p[3] = y + to * dy;
+    return true;
+}
+
+static void draw_curve(hg_image *image, const field *f, const hg_curve *curve, int scale, const uint8_t rgb[3])
+{
+    if (curve->n == 1 && isfinite(curve->x[0]) && isfinite(curve->y[0])) {
+        double x = across(f, curve->x[0]), y = down(f, curve->y[0]);
+        hg_draw_line(image, x, y, x, y, 5.0 * scale, rgb);
+    }
+    for (int64_t i = 0; i + 1 < curve->n; i++) {
+        double p[4] = { across(f, curve->x[i]), down(f, curve->y[i]), across(f, curve->x[i + 1]),
+                        down(f, curve->y[i + 1]) };
+        if (!isfinite(p[0] + p[1] + p[2] + p[3])) continue;
+        if (clip(f, p)) hg_draw_line(image, p[0], p[1], p[2], p[3], 1.1 * scale, rgb);
+    }
+}
+
+static void draw_legend(hg_image *image, const field *f, int scale, int n, const hg_curve *curves)
+{
+    int widest = 0, rows = 0, line = 11 * scale;
+    for (int c = 0; c < n; c++) {
+        if (!curves[c].name || !curves[c].name[0]) continue;
+        int width = hg_text_width(curves[c].name, scale);
+        widest = width > widest ? width : widest;
+        rows++;
+    }
+    if (rows == 0) return;
+    int width = widest + 24 * scale, x = f->left + f->width - width - 4 * scale, y = f->top + 4 * scale;
+    hg_draw_rectangle(image, x, y, width, rows * line + 4 * scale, paper, 0.85f);
+    for (int c = 0, row = 0; c < n; c++) {
+        if (!curves[c].name || !curves[c].name[0]) continue;
+        int top = y + 4 * scale + line * row++;
+        double middle = top + 3.5 * scale;
+        hg_draw_line(image, x + 4 * scale, middle, x + 15 * scale, middle, 1.6 * scale, curve_colour[c % 8]);
+        hg_image_text(image, x + 20 * scale, top, scale, ink, curves[c].name);
+    }
+}
+
+/* Widens the shorter range until a unit is as long along both axes. */
+static void equalise(field *f)
+{
+    double unit_x = (f->x.high - f->x.low) / f->width, unit_y = (f->y.high - f->y.low) / f->height;
+    range *small = unit_x < unit_y ? &f->x : &f->y;
+    double want = unit_x < unit_y ? unit_y * f->width : unit_x * f->height, middle = 0.5 * (small->low + small->high);
+    *small = (range){ middle - 0.5 * want, middle + 0.5 * want };
+}
+
+hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const char *title, const char *x_label,
+                  const char *y_label, int n, const hg_curve *curves, bool equal_axes)
+{
+    int scale = width >= 420 && height >= 300 ? 2 : 1;
+    field f = { .left = x + 42 * scale, .top = y + 20 * scale };
+    f.width = width - 42 * scale - 10 * scale;
+    f.height = height - 20 * scale - 30 * scale;
+    if (f.width < 20 || f.height < 20)
+        return hg_fail(HG_INVALID, "plot: %d x %d pixels are too few; 100 x 100 is the least", width, height);
+    f.x = range_of(n, curves, false);
+    f.y = range_of(n, curves, true);
+    if (equal_axes) equalise(&f);
+    hg_draw_rectangle(image, x, y, width, height, paper, 1.0f);
+    draw_axes(image, &f, scale);
+    for (int c = 0; c < n; c++) draw_curve(image, &f, &curves[c], scale, curve_colour[c % 8]);
+    draw_legend(image, &f, scale, n, curves);
+    if (title) hg_image_text(image, x + (width - hg_text_width(title, scale)) / 2, y + 6 * scale, scale, ink, title);
+    if (x_label)
+        hg_image_text(image, f.left + (f.width - hg_text_width(x_label, scale)) / 2, y + height - 11 * scale, scale,
+                      ink, x_label);
+    if (y_label)
+        HG_TRY(
+            text_upwards(image, x + 3 * scale, f.top + (f.height - hg_text_width(y_label, scale)) / 2, scale, y_label));
+    return HG_OK;
+}
