@@ -40,6 +40,52 @@ hg_status hg_body_closest(hg_ctx *ctx, const hg_body_refit *refit, hg_contact_mo
 void hg_body_closest_brute(int64_t n_vertices, const double *vertices, int64_t n_faces, const int32_t *faces, hg_contact_mode mode,
                            const double point[3], int32_t *triangle, double contact_point[3], double contact_normal[3]);
 
+/* ---- cells -------------------------------------------------------------------------------------------------- */
+
+/* Points sorted into cubes at least `radius` wide: what lies within the radius of a point is in the 27 cells around its
+ * own. Cells along +x follow each other, so these are 9 runs of places (hg_cells_runs). Sorting is stable, points that
+ * are not finite are left out, memory is kept from build to build; {0} is empty. Far outliers share the outermost cells.
+ *
+ *     hg_cells cells = { 0 };
+ *     hg_cells_build(ctx, &cells, HG_F32, n, points, radius);
+ *     for (int64_t i = 0; i < cells.n; i++) {
+ *         int32_t runs[HG_CELL_RUNS][2];
+ *         int k = hg_cells_runs(&cells, cells.cell[i], runs);
+ *         ... places runs[0][0] .. runs[0][1] - 1 and so on; x, y, z are cells.x[place] ..., the point cells.index[place]
+ *     }
+ *     hg_cells_free(&cells); */
+#define HG_CELL_RUNS 9
+#define HG_CELL_PAD  16     /* x, y, z have this many more elements, far away, so that a vector may be read past the end */
+typedef struct {
+    hg_dtype dtype;
+    int64_t n;                                                   /* points that are finite */
+    int32_t size[3];                                             /* cells along x, y, z */
+    double lo[3], width;                                         /* corner of cell 0 and width of a cell [m] */
+    int32_t *start;                                              /* [cells+1] first place of each cell */
+    int32_t *index;                                              /* [n] number of the point at each place, ascending in a cell */
+    int32_t *cell;                                               /* [n] cell of each place */
+    void *x, *y, *z;                                             /* [n+pad] positions by place */
+    int64_t capacity, cell_capacity;
+    int32_t *scratch;
+} hg_cells;
+hg_status hg_cells_build(hg_ctx *ctx, hg_cells *cells, hg_dtype dtype, int64_t n, const void *points /* [n,3] */, double radius);
+void      hg_cells_free(hg_cells *cells);
+static inline int hg_cells_runs(const hg_cells *cells, int32_t cell, int32_t runs[HG_CELL_RUNS][2]) /* returns how many are not empty */
+{
+    int32_t nx = cells->size[0], ny = cells->size[1], nz = cells->size[2];
+    int32_t cx = cell % nx, cy = cell / nx % ny, cz = cell / nx / ny;
+    int n = 0;
+    for (int32_t z = cz > 0 ? cz - 1 : 0; z <= (cz + 1 < nz ? cz + 1 : cz); z++)
+        for (int32_t y = cy > 0 ? cy - 1 : 0; y <= (cy + 1 < ny ? cy + 1 : cy); y++) {
+            int32_t row = (z * ny + y) * nx;
+            int32_t first = cells->start[row + (cx > 0 ? cx - 1 : 0)], last = cells->start[row + (cx + 1 < nx ? cx + 1 : cx) + 1];
+            if (first == last) continue;
+            runs[n][0] = first;
+            runs[n++][1] = last;
+        }
+    return n;
+}
+
 /* ---- neighbour grid ----------------------------------------------------------------------------------------- */
 
 /* All pairs within a radius, as rows: neighbours of point i are list[start[i] .. start[i+1]), in ascending order,
