@@ -1,0 +1,279 @@
+/* Puts a clip of a CMU skeleton on a body whose joints have the CMU names but another rest pose.
+ *
+ * With G the global rotation of a joint against its own rest pose, G_body(j) = G_clip(j) O_j. O_j is the identity for
+ * hips, spine, neck, head and shoulders (to align bones there would straighten the neck and shrug the shoulders). Along
+ * arms and legs it takes the body's bone to the clip's by the smallest rotation, after what the bone above has turned:
+ * O_j = minarc(O_parent b_j -> d_j) O_parent. Hands and fingers keep the O of the forearm; feet take straight down to
+ * the clip's shin, which leaves soles flat. The root follows the middle between the two thigh joints, scaled by the
+ * length of the legs. The clip's floor is y = 0 and stays there. */
+#include "scene/clip.h"
+
+#include <stdio.h>
+#include <string.h>
+
+typedef enum { KEEP, CHAIN, PARENT, SOLE } rule;
+
+/* A joint of the body; what the CMU .asf, the .bvh made for MotionBuilder and the .bvh made for Poser call it; how its
+ * rest pose is brought over, and the joint at the far end of its bone (CHAIN), or the one whose bone is a shin (SOLE). */
+typedef struct {
+    const char *name, *asf, *builder, *poser;
+    rule rule;
+    const char *other;
+} joint_row;
+static const joint_row joint_rows[] = {
+    { "Hips", "root", "Hips", "hip", KEEP, NULL },
+    { "LowerBack", "lowerback", "LowerBack", "lowerback", KEEP, NULL },
+    { "Spine", "upperback", "Spine", "abdomen", KEEP, NULL },
+    { "Spine1", "thorax", "Spine1", "chest", KEEP, NULL },
+    { "Neck", "lowerneck", "Neck", "neck", KEEP, NULL },
+    { "Neck1", "upperneck", "Neck1", "neck1", KEEP, NULL },
+    { "Head", "head", "Head", "head", KEEP, NULL },
+    { "LeftShoulder", "lclavicle", "LeftShoulder", "lcollar", KEEP, NULL },
+    { "LeftArm", "lhumerus", "LeftArm", "lshoulder", CHAIN, "LeftForeArm" },
+    { "LeftForeArm", "lradius", "LeftForeArm", "lelbow", CHAIN, "LeftHand" },
+    { "LeftHand", "lwrist", "LeftHand", "lhand", PARENT, NULL },
+    { "LeftFingerBase", "lhand", "LeftFingerBase", "leftfingerbase", PARENT, NULL },
+    { "LeftHandFinger1", "lfingers", "LFingers", "lefthandindex1", PARENT, NULL },
+    { "LThumb", "lthumb", "LThumb", "lthumb", PARENT, NULL },
+    { "RightShoulder", "rclavicle", "RightShoulder", "rcollar", KEEP, NULL },
+    { "RightArm", "rhumerus", "RightArm", "rshoulder", CHAIN, "RightForeArm" },
+    { "RightForeArm", "rradius", "RightForeArm", "relbow", CHAIN, "RightHand" },
+    { "RightHand", "rwrist", "RightHand", "rhand", PARENT, NULL },
+    { "RightFingerBase", "rhand", "RightFingerBase", "rightfingerbase", PARENT, NULL },
+    { "RightHandFinger1", "rfingers", "RFingers", "righthandindex1", PARENT, NULL },
+    { "RThumb", "rthumb", "RThumb", "rthumb", PARENT, NULL },
+    { "LHipJoint", "lhipjoint", "LHipJoint", "lhipjoint", KEEP, NULL },
+    { "LeftUpLeg", "lfemur", "LeftUpLeg", "lhip", CHAIN, "LeftLeg" },
+    { "LeftLeg", "ltibia", "LeftLeg", "lknee", CHAIN, "LeftFoot" },
+    { "LeftFoot", "lfoot", "LeftFoot", "lfoot", SOLE, "LeftLeg" },
+    { "LeftToeBase", "ltoes", "LeftToeBase", "lefttoebase", SOLE, "LeftLeg" },
+    { "RHipJoint", "rhipjoint", "RHipJoint", "rhipjoint", KEEP, NULL },
+    { "RightUpLeg", "rfemur", "RightUpLeg", "rhip", CHAIN, "RightLeg" },
+    { "RightLeg", "rtibia", "RightLeg", "rknee", CHAIN, "RightFoot" },
+    { "RightFoot", "rfoot", "RightFoot", "rfoot", SOLE, "RightLeg" },
+    { "RightToeBase", "rtoes", "RightToeBase", "righttoebase", SOLE, "RightLeg" },
+};
+#define JOINT_ROWS (int)(sizeof joint_rows / sizeof *joint_rows)
+
+typedef struct {
+    const hg_clip *clip;
+    const hg_body *body;
+    int scheme;       /* 0 the body's own names, 1 .asf, 2 MotionBuilder, 3 Poser */
+    int *source;      /* [J] joint of the clip, -1: none */
+    hg_quatd *offset; /* [J] O */
+    double scale;
+    hg_quatd *from; /* [clip joints] global, one frame */
+    hg_vec3d *from_place;
+    hg_quatd *to; /* [J] */
+    hg_vec3d *to_place;
+} retarget;
+
+static const joint_row *find_row(const char *name)
+{
+    for (int i = 0; i < JOINT_ROWS; i++)
+        if (strcmp(joint_rows[i].name, name) == 0) return joint_rows + i;
+    return NULL;
+}
+
+static const char *row_name(const joint_row *row, int scheme)
+{
+    return scheme == 1 ? row->asf : scheme == 2 ? row->builder : scheme == 3 ? row->poser : row->name;
+}
+
+/* The scheme of names that fits most joints: `lhand` alone says nothing, an .asf means another joint by it than Poser. */
+static int find_scheme(const hg_clip *clip)
+{
+    int best = 0, best_count = -1;
+    for (int scheme = 0; scheme < 4; scheme++) {
+        int count = 0;
+        for (int i = 0; i < JOINT_ROWS; i++) count += clip_joint(clip, row_name(joint_rows + i, scheme)) >= 0;
+        if (count > best_count) best = scheme, best_count = count;
+    }
+    return best;
+}
+
+static int source_of(const retarget *r, const char *name)
+{
+    const joint_row *row = find_row(name);
+    int joint = row ? clip_joint(r->clip, row_name(row, r->scheme)) : -1;
+    return joint >= 0 || (row && r->scheme == 1) || (row && r->scheme == 3) ? joint : clip_joint(r->clip, name);
+}
+
+static hg_vec3d body_joint(const hg_body *body, int joint)
+{
+    const float *p = body->joint + 3 * (int64_t)joint;
+    return hg_vec3d_make((double)p[0], (double)p[1], (double)p[2]);
+}
+
+/* The bone from joint to `end` in the body and in the clip; false when either of them lacks it or has it at length 0. */
+static bool bones(const retarget *r, int joint, const char *end, hg_vec3d *in_body, hg_vec3d *in_clip)
+{
+    int last = hg_body_joint(r->body, end);
+    if (joint < 0 || last < 0 || r->source[joint] < 0 || r->source[last] < 0) return false;
+    *in_body = hg_vec3d_sub(body_joint(r->body, last), body_joint(r->body, joint));
+    *in_clip = hg_vec3d_load(r->clip->offset + 3 * (int64_t)r->source[last]);
+    return hg_vec3d_norm(*in_body) > 1e-6 && hg_vec3d_norm(*in_clip) > 1e-6;
+}
+
+static void find_offsets(retarget *r)
+{
+    const hg_body *body = r->body;
+    for (int j = 0; j < body->joints; j++) {
+        const joint_row *row = find_row(body->joint_name[j]);
+        hg_quatd above = body->parent[j] >= 0 ? r->offset[body->parent[j]] : hg_quatd_identity();
+        hg_vec3d in_body, in_clip;
+        r->offset[j] = hg_quatd_identity();
+        if (!row) continue;
+        if (row->rule == PARENT) r->offset[j] = above;
+        if (row->rule == CHAIN && bones(r, j, row->other, &in_body, &in_clip)) {
+            hg_vec3d turned = hg_quatd_rotate(above, hg_vec3d_normalize(in_body));
+            r->offset[j] = hg_quatd_mul(hg_quatd_between(turned, hg_vec3d_normalize(in_clip)), above);
+        }
+        if (row->rule == SOLE) {
+            const joint_row *shin = find_row(row->other);
+            if (bones(r, hg_body_joint(body, row->other), shin->other, &in_body, &in_clip))
+                r->offset[j] = hg_quatd_between(hg_vec3d_make(0, -1, 0), hg_vec3d_normalize(in_clip));
+        }
+    }
+}
+
+/* Length of the legs in the body over that in the clip; without legs, from hips to head. */
+static void find_scale(retarget *r)
+{
+    static const char *const leg[] = { "LeftUpLeg", "LeftLeg", "RightUpLeg", "RightLeg" };
+    double in_body = 0, in_clip = 0;
+    hg_vec3d a, b;
+    for (int i = 0; i < 4; i++)
+        if (bones(r, hg_body_joint(r->body, leg[i]), find_row(leg[i])->other, &a, &b)) {
+            in_body += hg_vec3d_norm(a);
+            in_clip += hg_vec3d_norm(b);
+        }
+    if (!(in_body > 0)) {
+        int head = hg_body_joint(r->body, "Head");
+        in_body = fabs(body_joint(r->body, head).y - body_joint(r->body, 0).y);
+        for (int j = r->source[head]; j >= 0 && r->clip->parent[j] >= 0; j = r->clip->parent[j])
+            in_clip += r->clip->offset[3 * j + 1];
+        in_clip = fabs(in_clip);
+    }
+    r->scale = in_body > 1e-6 && in_clip > 1e-6 ? in_body / in_clip : 1;
+}
+
+static hg_status prepare(retarget *r)
+{
+    const hg_clip *clip = r->clip;
+    const hg_body *body = r->body;
+    r->source = hg_alloc((size_t)body->joints, sizeof *r->source);
+    r->offset = hg_alloc((size_t)body->joints, sizeof *r->offset);
+    r->from = hg_alloc((size_t)clip->joints, sizeof *r->from);
+    r->from_place = hg_alloc((size_t)clip->joints, sizeof *r->from_place);
+    r->to = hg_alloc((size_t)body->joints, sizeof *r->to);
+    r->to_place = hg_alloc((size_t)body->joints, sizeof *r->to_place);
+    if (!r->source || !r->offset || !r->from || !r->from_place || !r->to || !r->to_place) return HG_MEMORY;
+    r->scheme = find_scheme(clip);
+    for (int64_t j = 0; j < body->joints; j++) r->source[j] = source_of(r, body->joint_name[j]);
+    r->source[0] = r->source[0] >= 0 ? r->source[0] : 0; /* the roots belong together, whatever their names */
+    static const char *const needed[] = { "Head", "Neck" };
+    for (int i = 0; i < 2; i++) {
+        int joint = hg_body_joint(body, needed[i]);
+        if (joint < 0 || r->source[joint] < 0)
+            return hg_fail(
+                HG_INVALID,
+                "the %s has no joint for \"%s\"; names of CMU skeletons (.asf, or .bvh made from them) are understood",
+                joint < 0 ? "body" : "clip", needed[i]);
+    }
+    find_offsets(r);
+    find_scale(r);
+    return HG_OK;
+}
+
+static void pose_clip(retarget *r, int64_t t)
+{
+    const hg_clip *clip = r->clip;
+    for (int64_t j = 0; j < clip->joints; j++) {
+        int parent = clip->parent[j];
+        hg_quatd local = hg_quatd_load(clip->rotation + 4 * (t * clip->joints + j));
+        if (parent < 0) {
+            r->from[j] = local;
+            r->from_place[j] =
+                hg_vec3d_add(hg_vec3d_load(clip->translation + 3 * t), hg_vec3d_load(clip->offset + 3 * j));
+        } else {
+            r->from[j] = hg_quatd_normalize(hg_quatd_mul(r->from[parent], local));
+            r->from_place[j] = hg_vec3d_add(r->from_place[parent],
+                                            hg_quatd_rotate(r->from[parent], hg_vec3d_load(clip->offset + 3 * j)));
+        }
+    }
+}
+
+/* One frame: rotation [J,4], translation [3]. */
+static void retarget_frame(retarget *r, int64_t t, float *rotation, float *translation, const float *previous)
+{
+    const hg_body *body = r->body;
+    pose_clip(r, t);
+    for (int j = 0; j < body->joints; j++) {
+        int parent = body->parent[j];
+        hg_quatd above = parent >= 0 ? r->to[parent] : hg_quatd_identity();
+        r->to[j] = r->source[j] >= 0 ? hg_quatd_normalize(hg_quatd_mul(r->from[r->source[j]], r->offset[j])) : above;
+        r->to_place[j] = body_joint(body, j);
+        if (parent >= 0) {
+            hg_vec3d bone = hg_vec3d_sub(body_joint(body, j), body_joint(body, parent));
+            r->to_place[j] = hg_vec3d_add(r->to_place[parent], hg_quatd_rotate(above, bone));
+        }
+        hg_quatd local = hg_quatd_normalize(hg_quatd_mul(hg_quatd_conj(above), r->to[j]));
+        if (previous) { /* the short way from the frame before, so that frames can be mixed */
+            const float *q = previous + 4 * j;
+            double c =
+                local.w * (double)q[0] + local.x * (double)q[1] + local.y * (double)q[2] + local.z * (double)q[3];
+            if (c < 0) local = hg_quatd_neg(local);
+        }
+        rotation[4 * j] = (float)local.w;
+        rotation[4 * j + 1] = (float)local.x;
+        rotation[4 * j + 2] = (float)local.y;
+        rotation[4 * j + 3] = (float)local.z;
+    }
+    int left = hg_body_joint(body, "LeftUpLeg"), right = hg_body_joint(body, "RightUpLeg");
+    bool legs = left >= 0 && right >= 0 && r->source[left] >= 0 && r->source[right] >= 0;
+    hg_vec3d place = legs ? hg_vec3d_mix(r->to_place[left], r->to_place[right], 0.5) : r->to_place[0];
+    hg_vec3d asked = legs ? hg_vec3d_mix(r->from_place[r->source[left]], r->from_place[r->source[right]], 0.5)
+                          : r->from_place[r->source[0]];
+    hg_vec3d move = hg_vec3d_sub(hg_vec3d_scale(asked, r->scale), place);
+    translation[0] = (float)move.x;
+    translation[1] = (float)move.y;
+    translation[2] = (float)move.z;
+}
+
+hg_status hg_clip_retarget(hg_motion **motion, const hg_clip *clip, const hg_body *body, double rate)
+{
+    *motion = NULL;
+    if (!(rate > 0) || !isfinite(rate)) return hg_fail(HG_INVALID, "a rate of %g frames per second", rate);
+    if (clip->frames < 1 || clip->joints < 1)
+        return hg_fail(HG_INVALID, "a clip of %lld frames and %lld joints", (long long)clip->frames,
+                       (long long)clip->joints);
+    /* Whole ratios take every k-th frame as it is; others go over slerp. */
+    double ratio = clip->rate / rate, whole = round(ratio);
+    bool exact = whole >= 1 && fabs(ratio - whole) < 1e-9 * whole;
+    int64_t step = exact ? (int64_t)whole : 1, frames = (clip->frames - 1) / step + 1;
+    hg_motion *full = NULL;
+    retarget r = { .clip = clip, .body = body };
+    hg_status status = prepare(&r);
+    if (status == HG_OK) status = hg_motion_create(&full, frames, body, exact ? rate : clip->rate);
+    for (int64_t t = 0; status == HG_OK && t < frames; t++) {
+        float *rotation = full->rotation + 4 * t * body->joints;
+        retarget_frame(&r, t * step, rotation, full->translation + 3 * t, t > 0 ? rotation - 4 * body->joints : NULL);
+    }
+    hg_free(r.source);
+    hg_free(r.offset);
+    hg_free(r.from);
+    hg_free(r.from_place);
+    hg_free(r.to);
+    hg_free(r.to_place);
+    if (status == HG_OK && !exact) {
+        status = hg_motion_resample(motion, full, rate);
+        hg_motion_destroy(full);
+        full = NULL;
+    }
+    if (status == HG_OK && exact)
+        *motion = full;
+    else if (status != HG_OK)
+        hg_motion_destroy(full);
+    return status;
+}
