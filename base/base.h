@@ -154,7 +154,8 @@ void      hg_texts_free(char **texts, int n);
  * section is declared by the rows inside it; a row of type HG_SECTION declares a section that may be empty or absent.
  * An unknown key is an error with its line and the nearest right key; so are a wrong unit, a wrong type, a value
  * outside [min, max] and a key given twice. Numbers are written with their unit ("2 N/m", "5 mm") and are stored in
- * the unit of the row, SI; a bare number is taken to be in that unit. */
+ * the unit of the row, SI; a bare number is taken to be in that unit. What stands in a section declared by HG_SECTION
+ * is required, and echoed, only where that section is given. */
 typedef enum { HG_NUMBER, HG_INTEGER, HG_FLAG, HG_TEXT, HG_CHOICE, HG_NUMBERS, HG_TEXTS, HG_SECTION } hg_config_type;
 typedef struct {
     const char *key;            /* "training.learning_rate" */
@@ -168,8 +169,10 @@ typedef struct {
 
 typedef struct hg_config hg_config;
 hg_status   hg_config_load(hg_config **config, const char *path, const hg_config_row *rows, int n);
+hg_status   hg_config_load_with(hg_config **config, const char *path, const hg_config_row *rows, int n, const char *const *overrides, int n_overrides); /* "KEY=VALUE" each, set before required keys are looked for */
 hg_status   hg_config_parse(hg_config **config, const char *text, const char *name, const hg_config_row *rows, int n);
 hg_status   hg_config_set(hg_config *config, const char *key, const char *value);   /* an override, "training.steps" "100"; same checks */
+hg_status   hg_config_check(const hg_config *config);                               /* that every required key has a value, again after hg_config_set */
 void        hg_config_destroy(hg_config *config);
 bool        hg_config_given(const hg_config *config, const char *key);              /* written in the file (or set), not a default; also for sections */
 double      hg_config_number(const hg_config *config, const char *key);             /* asking for an undeclared key is a bug: NAN */
