@@ -385,7 +385,7 @@ hg_status hg_config_load_with(hg_config **config, const char *path, const hg_con
     else if (memchr(bytes, 0, size) != NULL)
         status = hg_fail(HG_FORMAT, "%s: is a binary file, a YAML text is needed", path);
     else
-        status = hg_config_parse(config, bytes, path, rows, n);
+        status = build(config, bytes, path, rows, n, overrides, n_overrides);
     hg_free(bytes);
     return status;
 }
