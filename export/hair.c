@@ -1,0 +1,188 @@
+/* Export of a hair network: as ONNX, raw features in and displacements out, with all that a runtime needs to feed it in
+ * the metadata; and as HDF5, weights by layer beside the same feature table. */
+#include "export/export.h"
+
+#include <stdio.h>
+#include <string.h>
+
+#define MOST_METADATA 20
+
+/* What stands beside the weights, as text. */
+typedef struct {
+    int n;
+    const char *key[MOST_METADATA];
+    char *value[MOST_METADATA];
+    bool failed;
+} description;
+
+static void describe(description *d, const char *key, char *value)
+{
+    if (!value || d->n == MOST_METADATA) {
+        hg_free(value);
+        d->failed = true;
+        return;
+    }
+    d->key[d->n] = key;
+    d->value[d->n++] = value;
+}
+
+static void description_free(description *d)
+{
+    for (int i = 0; i < d->n; i++) hg_free(d->value[i]);
+}
+
+/* The input columns as JSON: [{"name": "root_uv", "first": 0, "count": 2, "mean": 0.5, "deviation": 0.3}, ...] */
+static char *features_json(const hg_hair_task *task)
+{
+    const hg_feature *features;
+    int n = hg_hair_features(task, &features);
+    hg_text json = { 0 };
+    for (int i = 0; i < n; i++)
+        hg_text_add(&json, "%s{\"name\": \"%s\", \"first\": %d, \"count\": %d, \"mean\": %.9g, \"deviation\": %.9g}",
+                    i ? ", " : "[", features[i].name, features[i].first, features[i].count, features[i].mean,
+                    features[i].deviation);
+    hg_text_add(&json, n ? "]" : "[]");
+    char *text = json.failed ? NULL : hg_strdup(json.data);
+    hg_text_free(&json);
+    return text;
+}
+
+static hg_status describe_hair(const hg_hair_task *task, description *d)
+{
+    const hg_groom *groom = hg_hair_groom(task);
+    const hg_body *body = hg_hair_body(task);
+    *d = (description){ 0 };
+    describe(d, "units",
+             hg_strdup("metres, seconds, radians; +Y up, the face looks along +Z, +X is the character's left"));
+    describe(d, "input",
+             hg_strdup("raw features, one row per strand, columns as listed in 'features'; normalisation "
+                       "((x - mean) / deviation) is part of the graph"));
+    describe(d, "output",
+             hg_strdup("displacements [m] of vertices 1..V-1 in head rest space, xyz by vertex; "
+                       "x = p + R (rest + d - rest_root), p and R the strand's root frame"));
+    describe(d, "features", features_json(task));
+    describe(d, "vertices", hg_format("%lld", (long long)groom->vertices));
+    describe(d, "strands", hg_format("%lld", (long long)groom->strands));
+    describe(d, "groom", hg_strdup(groom->name ? groom->name : ""));
+    describe(d, "groom_hash", hg_format("%016llx", (unsigned long long)hg_groom_hash(groom)));
+    describe(d, "body_hash", hg_format("%016llx", (unsigned long long)hg_body_hash(body)));
+    const hg_motion *clip = hg_hair_clips(task, false) > 0 ? hg_hair_clip(task, false, 0) : NULL;
+    describe(d, "dt", hg_format("%.9g", clip && clip->rate > 0.0 ? 1.0 / clip->rate : 1.0 / 30.0));
+    describe(d, "hairgrad_version", hg_strdup(HG_VERSION));
+    if (!d->failed) return HG_OK;
+    description_free(d);
+    return hg_fail(HG_MEMORY, "export: out of memory");
+}
+
+static int columns_of(const hg_hair_task *task)
+{
+    const hg_feature *features;
+    int n = hg_hair_features(task, &features), columns = 0;
+    for (int i = 0; i < n; i++)
+        if (features[i].first + features[i].count > columns) columns = features[i].first + features[i].count;
+    return columns;
+}
+
+/* ---- ONNX ---------------------------------------------------------------------------------------------------- */
+
+static hg_tensor *forward(void *self, hg_ctx *ctx, hg_tensor *raw)
+{
+    return hg_hair_forward_concatenated(self, ctx, raw);
+}
+
+hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path)
+{
+    description about;
+    HG_TRY(describe_hair(task, &about));
+    hg_onnx_metadata metadata[MOST_METADATA];
+    for (int i = 0; i < about.n; i++) metadata[i] = (hg_onnx_metadata){ about.key[i], about.value[i] };
+    const hg_onnx_options options = {
+        .input = "features",
+        .output = "displacement",
+        .graph = hg_hair_model(task)->kind,
+        .doc =
+            "Displacements of hair strands from the rigidly posed groom, trained without simulated data by hairgrad.",
+        .columns = columns_of(task),
+        .n_metadata = about.n,
+        .metadata = metadata,
+    };
+    hg_status status = hg_onnx_export(ctx, path, forward, task, &options);
+    description_free(&about);
+    return status;
+}
+
+/* ---- HDF5 ---------------------------------------------------------------------------------------------------- */
+
+/* "first.weight" becomes /model/first/weight. */
+static hg_status write_parameter(hg_h5 *file, const hg_tensor *parameter, int number)
+{
+    char *name = parameter->name ? hg_format("model/%s", parameter->name) : hg_format("model/parameter_%d", number);
+    size_t bytes = hg_tensor_bytes(parameter);
+    void *data = hg_alloc(bytes > 0 ? bytes : 1, 1);
+    hg_status status = name && data ? hg_tensor_read(parameter, data) : HG_MEMORY;
+    if (status == HG_OK) {
+        for (char *c = name; *c; c++)
+            if (*c == '.') *c = '/';
+        status = hg_h5_write(file, name, parameter->dtype, parameter->rank, parameter->shape, data);
+    }
+    hg_free(name);
+    hg_free(data);
+    return status;
+}
+
+static hg_status write_features(hg_h5 *file, const hg_hair_task *task)
+{
+    const hg_feature *features;
+    int n = hg_hair_features(task, &features);
+    if (n < 1) return HG_OK;
+    size_t size = (size_t)n;
+    const char **names = hg_alloc(size, sizeof *names);
+    int64_t *first = hg_alloc(size, sizeof *first), *count = hg_alloc(size, sizeof *count), rows = n;
+    double *mean = hg_alloc(size, sizeof *mean), *deviation = hg_alloc(size, sizeof *deviation);
+    hg_status status = names && first && count && mean && deviation ? HG_OK : HG_MEMORY;
+    for (int i = 0; status == HG_OK && i < n; i++) {
+        names[i] = features[i].name;
+        first[i] = features[i].first;
+        count[i] = features[i].count;
+        mean[i] = features[i].mean;
+        deviation[i] = features[i].deviation;
+    }
+    if (status == HG_OK) status = hg_h5_write_texts(file, "features/name", n, names);
+    if (status == HG_OK) status = hg_h5_write_i64(file, "features/first", 1, &rows, first);
+    if (status == HG_OK) status = hg_h5_write_i64(file, "features/count", 1, &rows, count);
+    if (status == HG_OK) status = hg_h5_write(file, "features/mean", HG_F64, 1, &rows, mean);
+    if (status == HG_OK) status = hg_h5_write(file, "features/deviation", HG_F64, 1, &rows, deviation);
+    hg_free(names);
+    hg_free(first);
+    hg_free(count);
+    hg_free(mean);
+    hg_free(deviation);
+    return status;
+}
+
+static hg_status write_weights(hg_h5 *file, hg_hair_task *task, const description *about)
+{
+    const hg_model *model = hg_hair_model(task);
+    HG_TRY(hg_h5_group(file, "model"));
+    HG_TRY(hg_h5_set_text(file, "model", "kind", model->kind));
+    for (int i = 0; i < about->n; i++) HG_TRY(hg_h5_set_text(file, "", about->key[i], about->value[i]));
+    for (int i = 0; i < model->n_params; i++) HG_TRY(write_parameter(file, model->params[i], i));
+    return write_features(file, task);
+}
+
+hg_status hg_export_hair_h5(hg_hair_task *task, const char *path)
+{
+    description about;
+    HG_TRY(describe_hair(task, &about));
+    hg_h5 *file = NULL;
+    hg_status status = hg_h5_create(&file, path);
+    if (status == HG_OK) {
+        status = write_weights(file, task, &about);
+        if (status == HG_OK)
+            status = hg_h5_commit(file);
+        else
+            hg_h5_close(file);
+    }
+    description_free(&about);
+    return status;
+}
