@@ -1,5 +1,6 @@
 /* Which triangles can be seen from outside: the faces are drawn, without perspective and with a depth buffer, from
- * directions spread evenly over the sphere (a Fibonacci spiral); a face that owns a pixel in one of the pictures is seen. */
+ * directions spread evenly over the sphere (a Fibonacci spiral). A face is seen when it owns at least a few per cent of the
+ * pixels that it would have alone: one glimpse through a slit between lips is not enough. */
 #include "scene/visible.h"
 
 #include "geometry/vector.h"
@@ -7,13 +8,15 @@
 #include <string.h>
 
 #define DIRECTIONS 48
-#define PIXELS     512 /* of a picture's side: about 1.5 mm for head and shoulders */
+#define EXPOSED    0.05 /* least part of a face's pixels, over the pictures that it faces, that nothing hides */
+#define PIXELS     512  /* of a picture's side: about 1.5 mm for head and shoulders */
 
 typedef struct {
     hg_vec3d centre, across, up, towards;
     double scale; /* pixels per metre */
     float *depth;
     int32_t *owner;
+    int64_t *covered, *owned; /* [faces] pixels, over all pictures */
 } picture;
 
 static void draw(picture *to, const float *vertices, const int32_t *corner, int32_t face)
@@ -29,7 +32,7 @@ static void draw(picture *to, const float *vertices, const int32_t *corner, int3
     double area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
     double left = fmin(x[0], fmin(x[1], x[2])), right = fmax(x[0], fmax(x[1], x[2]));
     double bottom = fmin(y[0], fmin(y[1], y[2])), top = fmax(y[0], fmax(y[1], y[2]));
-    if (fabs(area) < 1e-9 || !(right >= 0.5 && left <= PIXELS - 0.5 && top >= 0.5 && bottom <= PIXELS - 0.5)) return;
+    if (area < 1e-9 || !(right >= 0.5 && left <= PIXELS - 0.5 && top >= 0.5 && bottom <= PIXELS - 0.5)) return;
     int column_first = (int)ceil(fmax(left, 0.5) - 0.5), column_last = (int)floor(fmin(right, PIXELS - 0.5) - 0.5);
     int row_first = (int)ceil(fmax(bottom, 0.5) - 0.5), row_last = (int)floor(fmin(top, PIXELS - 0.5) - 0.5);
     for (int row = row_first; row <= row_last; row++)
@@ -39,6 +42,7 @@ static void draw(picture *to, const float *vertices, const int32_t *corner, int3
             double c = ((x[1] - x[0]) * py - px * (y[1] - y[0])) / area;
             if (b < 0 || c < 0 || b + c > 1) continue;
             float depth = (float)(z[0] + b * (z[1] - z[0]) + c * (z[2] - z[0]));
+            to->covered[face]++;
             int64_t pixel = (int64_t)row * PIXELS + column;
             if (to->owner[pixel] >= 0 && depth <= to->depth[pixel]) continue;
             to->depth[pixel] = depth;
@@ -46,8 +50,7 @@ static void draw(picture *to, const float *vertices, const int32_t *corner, int3
         }
 }
 
-static void look(picture *to, int direction, const float *vertices, int64_t n_faces, const int32_t *faces,
-                 uint8_t *seen)
+static void look(picture *to, int direction, const float *vertices, int64_t n_faces, const int32_t *faces)
 {
     double height = 1 - 2 * (direction + 0.5) / DIRECTIONS, radius = sqrt(1 - height * height);
     double turn = direction * 3.14159265358979323846 * (3 - sqrt(5.0));
@@ -57,7 +60,7 @@ static void look(picture *to, int direction, const float *vertices, int64_t n_fa
     for (int64_t i = 0; i < (int64_t)PIXELS * PIXELS; i++) to->owner[i] = -1;
     for (int64_t f = 0; f < n_faces; f++) draw(to, vertices, faces + 3 * f, (int32_t)f);
     for (int64_t i = 0; i < (int64_t)PIXELS * PIXELS; i++)
-        if (to->owner[i] >= 0) seen[to->owner[i]] = 1;
+        if (to->owner[i] >= 0) to->owned[to->owner[i]]++;
 }
 
 hg_status scene_visible_faces(const char *path, int64_t n_vertices, const float *vertices, int64_t n_faces,
@@ -77,10 +80,14 @@ hg_status scene_visible_faces(const char *path, int64_t n_vertices, const float 
     picture to = { .centre = hg_vec3d_mix(low, high, 0.5), .scale = 0.5 * PIXELS / radius };
     to.depth = hg_alloc((size_t)PIXELS * PIXELS, sizeof *to.depth);
     to.owner = hg_alloc((size_t)PIXELS * PIXELS, sizeof *to.owner);
+    to.covered = hg_alloc((size_t)n_faces, sizeof *to.covered);
+    to.owned = hg_alloc((size_t)n_faces, sizeof *to.owned);
     uint8_t *seen = hg_alloc((size_t)n_faces, 1), *near = hg_alloc((size_t)n_vertices, 1);
-    hg_status status = to.depth && to.owner && seen && near ? HG_OK : HG_MEMORY;
+    hg_status status = to.depth && to.owner && to.covered && to.owned && seen && near ? HG_OK : HG_MEMORY;
     if (status == HG_OK) {
-        for (int d = 0; d < DIRECTIONS; d++) look(&to, d, vertices, n_faces, faces, seen);
+        for (int d = 0; d < DIRECTIONS; d++) look(&to, d, vertices, n_faces, faces);
+        for (int64_t f = 0; f < n_faces; f++)
+            seen[f] = to.owned[f] > 0 && (double)to.owned[f] >= EXPOSED * (double)to.covered[f];
         for (int64_t f = 0; f < n_faces; f++)
             for (int k = 0; k < 3; k++) near[faces[3 * f + k]] |= seen[f];
         int64_t kept = 0;
@@ -92,6 +99,8 @@ hg_status scene_visible_faces(const char *path, int64_t n_vertices, const float 
     }
     hg_free(to.depth);
     hg_free(to.owner);
+    hg_free(to.covered);
+    hg_free(to.owned);
     hg_free(seen);
     hg_free(near);
     return status;
