@@ -84,6 +84,7 @@ bool cli_parse(hg_arguments *arguments, const hg_command *command, int count, ch
             options = false;
             continue;
         }
+        if (strcmp(word, "-o") == 0) word = "--output"; /* the one short name that everybody expects, besides -h */
         if (strcmp(word, "--help") == 0 || strcmp(word, "-h") == 0) {
             *help = true;
             return true;

@@ -33,7 +33,7 @@ int         cli_fail(void);                                   /* prints "hairgra
 hg_progress cli_progress(void);                               /* one line on stderr, rewritten on a terminal, every few seconds otherwise; silent for the first two seconds */
 void        cli_progress_end(void);
 bool        cli_context(hg_ctx **ctx, const hg_arguments *arguments);             /* --threads, --seed, --device */
-#define CLI_CONTEXT_OPTIONS { "threads", "N", "threads to use (default: all cores)" }, { "seed", "N", "seed of everything random (default 1)" }
+#define CLI_CONTEXT_OPTIONS { "threads", "N", "threads to use (default: all cores)", false }, { "seed", "N", "seed of everything random (default 1)", false }
 bool        cli_interrupted(void *);                          /* true after SIGINT or SIGTERM, once cli_catch_signals was called */
 void        cli_catch_signals(void);
 
