@@ -1,0 +1,123 @@
+/* drape: a trained network over a whole motion, for every strand of the groom, frame by frame. A frame depends on the
+ * motion up to it alone, so memory is that of one frame. */
+#include "tasks/hair.h"
+
+#include <string.h>
+
+typedef struct {
+    hg_poser *poser;
+    hg_hair_track track;
+    bool own_track;
+    int32_t *strand;
+    int64_t n;
+    hg_tensor *features, *rest, *part; /* [n,..]: the same in every frame */
+    float *body, *rotation, *position, *posed, *raw, *inputs;
+} drape;
+
+static void drape_free(drape *d)
+{
+    hg_poser_destroy(d->poser);
+    if (d->own_track) hg_hair_track_destroy(&d->track);
+    hg_tensor_destroy(d->features);
+    hg_tensor_destroy(d->rest);
+    hg_tensor_destroy(d->part);
+    hg_free(d->strand);
+    hg_free(d->body);
+    hg_free(d->rotation);
+    hg_free(d->position);
+    hg_free(d->posed);
+    hg_free(d->raw);
+    hg_free(d->inputs);
+}
+
+/* The first layer's share of the strands, computed once per drape. */
+static hg_status make_part(drape *d, hg_hair_task *task, hg_ctx *ctx)
+{
+    hg_hair_subset strands = { .n = d->n, .strand = d->strand, .rest = d->rest, .features = d->features };
+    HG_TRY(hg_hair_subset_features(&strands, task));
+    hg_step_reset(ctx);
+    hg_no_grad_begin(ctx);
+    hg_tensor *part = task->model->strand_part(task->model->self, ctx, d->features);
+    hg_no_grad_end(ctx);
+    HG_TRY(hg_ctx_status(ctx));
+    d->part = hg_tensor_create(ctx, HG_F32, part->rank, part->shape);
+    if (!d->part) return HG_MEMORY;
+    return hg_tensor_copy(d->part, part);
+}
+
+static hg_status drape_prepare(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t stride)
+{
+    const hg_groom *groom = task->groom;
+    const int64_t V = groom->vertices;
+    d->n = (groom->strands + stride - 1) / stride;
+    HG_TRY(hg_poser_create(&d->poser, task->body, false));
+    HG_TRY(hg_hair_track_create(&d->track, &task->layout, task->body, motion));
+    d->own_track = true;
+    d->strand = hg_alloc((size_t)d->n, sizeof *d->strand);
+    d->body = hg_alloc((size_t)hg_poser_vertices(d->poser) * 3, sizeof(float));
+    d->rotation = hg_alloc((size_t)d->n * 4, sizeof(float));
+    d->position = hg_alloc((size_t)d->n * 3, sizeof(float));
+    d->posed = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
+    d->raw = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
+    d->inputs = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
+    d->features = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ d->n, task->strand_inputs });
+    d->rest = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ d->n, V, 3 });
+    if (!d->strand || !d->body || !d->rotation || !d->position || !d->posed || !d->raw || !d->inputs || !d->features ||
+        !d->rest)
+        return HG_MEMORY;
+    for (int64_t i = 0; i < d->n; i++) d->strand[i] = (int32_t)(i * stride);
+    return make_part(d, task, ctx);
+}
+
+static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape,
+                             int64_t frame, hg_drape_sink sink, void *self)
+{
+    const int64_t V = task->groom->vertices, n = d->n;
+    hg_step_reset(ctx);
+    HG_TRY(hg_pose(ctx, d->poser, shape, motion, frame, d->body, NULL, NULL));
+    HG_TRY(hg_pose_roots(ctx, d->poser, task->groom, d->strand, n, d->body, d->rotation, d->position));
+    hg_hair_track_frame(&task->layout, &d->track, frame, shape, d->raw);
+    hg_hair_normalise_frame(task, d->raw, d->inputs);
+    hg_no_grad_begin(ctx);
+    hg_tensor *x = hg_hair_predict(
+        task, ctx, d->part, hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, d->inputs), d->rest,
+        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 4 }, d->rotation),
+        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 3 }, d->position));
+    hg_no_grad_end(ctx);
+    HG_TRY(hg_ctx_status(ctx));
+    hg_pose_strands(ctx, n, V, d->rest->data, d->rotation, d->position, d->posed);
+    return sink(self, &(hg_drape_frame){ .frame = frame,
+                                         .strands = n,
+                                         .vertices = V,
+                                         .strand = d->strand,
+                                         .x = x->data,
+                                         .posed = d->posed,
+                                         .body_vertices = d->body,
+                                         .root_rotation = d->rotation,
+                                         .root_position = d->position });
+}
+
+hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t first,
+                        int64_t frames, int64_t stride, hg_drape_sink sink, void *self, const hg_progress *progress)
+{
+    if (stride < 1) return hg_fail(HG_INVALID, "drape: a stride of %lld strands; at least 1", (long long)stride);
+    if (first < 0 || first >= motion->frames)
+        return hg_fail(HG_INVALID, "drape: frame %lld of a motion of %lld", (long long)first, (long long)motion->frames);
+    hg_motion *resampled = NULL;
+    if (motion->rate < task->rate * (1 - 1e-6) || motion->rate > task->rate * (1 + 1e-6)) {
+        HG_TRY(hg_motion_resample(&resampled, motion, task->rate));
+        motion = resampled;
+    }
+    if (frames <= 0 || first + frames > motion->frames) frames = motion->frames - first;
+    drape d = { 0 };
+    hg_status status = drape_prepare(&d, task, ctx, motion, stride);
+    for (int64_t i = 0; status == HG_OK && i < frames; i++) {
+        status = drape_frame(&d, task, ctx, motion, shape, first + i, sink, self);
+        hg_progress_report(progress, (double)(i + 1) / (double)frames, "draping frame %lld of %lld", (long long)(i + 1),
+                           (long long)frames);
+    }
+    hg_step_reset(ctx);
+    drape_free(&d);
+    hg_motion_destroy(resampled);
+    return status;
+}

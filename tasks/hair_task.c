@@ -1,0 +1,422 @@
+/* hair_task: a Neuralocks training run from one config: what is made once, the loss of a step, the validation, and
+ * what a checkpoint adds. See docs/neuralocks.md for the features. */
+#include "tasks/hair.h"
+
+#include <math.h>
+#include <string.h>
+
+/* ---- network ------------------------------------------------------------------------------------------------ */
+
+/* Outputs to displacements of vertices 1.., a constant matrix [outputs,(V-1)*3]. With two vertices pinned the first edge
+ * gets none. `vertices`: an output is a displacement; `edges`: of an edge, so a vertex moves by the sum of the edges
+ * before it, which makes bends of the whole strand as easy to learn as those of one edge. */
+static hg_status make_output_map(hg_hair_task *task)
+{
+    const int64_t V = task->groom->vertices, columns = (V - 1) * 3;
+    const bool edges = !strcmp(hg_config_text(task->config, "model.output"), "edges");
+    task->pinned = (int)hg_config_integer(task->config, "model.pinned");
+    if (task->pinned >= V)
+        return hg_fail(HG_INVALID, "%s:%d: model.pinned: %d of %lld vertices are pinned: nothing is left to move",
+                       hg_config_name(task->config), hg_config_line(task->config, "model.pinned"), task->pinned,
+                       (long long)V);
+    task->output_scale = hg_config_number(task->config, "model.output_scale");
+    task->outputs = (int)(V - task->pinned) * 3;
+    task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
+    if (!task->output_map) return HG_MEMORY;
+    task->output_map->name = "output_map";
+    float *map = task->output_map->data;
+    for (int64_t i = 0; i < task->outputs; i++) {
+        const int64_t first = i + (task->pinned - 1) * 3;
+        for (int64_t column = first; column < columns; column += 3) {
+            map[i * columns + column] = (float)task->output_scale;
+            if (!edges) break;
+        }
+    }
+    hg_tensor_touch(task->output_map);
+    return HG_OK;
+}
+
+static hg_status make_model(hg_hair_task *task)
+{
+    HG_TRY(make_output_map(task));
+    hg_model_spec spec = { .inputs = task->inputs,
+                           .strand_inputs = task->strand_inputs,
+                           .outputs = task->outputs,
+                           .width = (int)hg_config_integer(task->config, "model.width"),
+                           .depth = (int)hg_config_integer(task->config, "model.depth"),
+                           .latent = task->latent,
+                           .seed = task->seed };
+    HG_TRY(hg_activation_parse(hg_config_text(task->config, "model.activation"), &spec.activation));
+    HG_TRY(hg_model_create(&task->model, task->ctx, hg_config_text(task->config, "model.kind"), &spec));
+    if (!task->model->strand_part)
+        return hg_fail(HG_INVALID, "%s:%d: model.kind: a %s is not a network per strand; use neuralocks",
+                       hg_config_name(task->config), hg_config_line(task->config, "model.kind"), task->model->kind);
+    return HG_OK;
+}
+
+static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs)
+{
+    return hg_matmul(ctx, outputs, task->output_map);
+}
+
+hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,
+                           hg_tensor *rotation, hg_tensor *position)
+{
+    hg_tensor *in[3] = { NULL, inputs, part };
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3));
+    if (!d) return NULL;
+    d = hg_reshape(ctx, d, 4, (int64_t[]){ rotation->shape[0], rotation->shape[1], task->groom->vertices - 1, 3 });
+    return hg_place(ctx, d, rest, rotation, position);
+}
+
+hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    hg_tensor *in = hg_mul(ctx, hg_sub(ctx, raw, task->mean_tensor), task->inverse_deviation);
+    return displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1));
+}
+
+/* ---- loss --------------------------------------------------------------------------------------------------- */
+
+hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
+                          hg_hair_subset *subset, double *unweighted)
+{
+    const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
+    hg_tensor *inputs = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
+    hg_tensor *rotation = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
+    hg_tensor *position = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
+    hg_tensor *body =
+        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
+    if (!inputs || !rotation || !position || !body) return NULL;
+
+    /* What belongs to the strands is the same at the three times. */
+    hg_tensor *part = model->strand_part(model->self, ctx, subset->features);
+    hg_no_grad_begin(ctx);
+    hg_tensor *past = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, inputs, 0, 2 * B), subset->rest,
+                                      hg_tensor_rows(ctx, rotation, 0, 2 * B), hg_tensor_rows(ctx, position, 0, 2 * B));
+    hg_tensor *previous = past ? hg_tensor_rows(ctx, past, B, B) : NULL;
+    hg_tensor *before = past ? hg_tensor_rows(ctx, past, 0, B) : NULL;
+    hg_tensor *predicted = hg_sub(ctx, hg_scale(ctx, previous, 2, 0), before);
+    hg_no_grad_end(ctx);
+
+    hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B), *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
+    hg_tensor *x = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, inputs, 2 * B, B), subset->rest, now_rotation,
+                                   now_position);
+    const hg_frame frame = { .root_rotation = now_rotation,
+                             .root_position = now_position,
+                             .predicted = predicted,
+                             .previous = previous,
+                             .body_vertices = body,
+                             .dt = 1 / task->rate };
+    hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, unweighted);
+    return hg_scale(ctx, energy, 1 / ((double)(B * S) * task->reference), 0);
+}
+
+static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
+{
+    hg_hair_task *task = self;
+    const hg_hair_batch *batch = bytes;
+    double unweighted[HG_HAIR_TERMS] = { 0 };
+    hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
+    const double per_strand = 1 / (double)(batch->frames * batch->strands);
+    for (int i = 0; value && i < task->terms.n; i++) {
+        const double joule = unweighted[i] * per_strand;
+        hg_report_add(report, task->term_name[i][0], task->terms.term[i].weight * joule / task->reference);
+        hg_report_add(report, task->term_name[i][1], joule);
+    }
+    return value;
+}
+
+/* ---- validation --------------------------------------------------------------------------------------------- */
+
+/* The loss on frames and body shapes that training does not draw: held-out clips at even distances, or, where there are
+ * none, training clips with other shapes. Always the same frames, so that values can be compared. */
+static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *report)
+{
+    hg_hair_task *task = self;
+    const int held_out = task->n_clips[1] > 0;
+    int64_t frames = 0;
+    for (int i = 0; i < task->n_clips[held_out]; i++) frames += task->clips[held_out][i].motion->frames;
+    const int64_t n = hg_config_integer(task->config, "training.validation_frames");
+    double total = 0, terms[HG_HAIR_TERMS] = { 0 };
+    hg_hair_batch *batch = hg_hair_batch_lay_out(task, task->validation_batch, 1, task->subset.n);
+    hg_no_grad_begin(ctx);
+    hg_status status = HG_OK;
+    for (int64_t k = 0; status == HG_OK && k < n; k++) {
+        int64_t frame = (2 * k + 1) * frames / (2 * n);
+        int clip = 0;
+        while (frame >= task->clips[held_out][clip].motion->frames) frame -= task->clips[held_out][clip++].motion->frames;
+        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 };
+        hg_hair_draw_shape(task, task->seed + 0x5eed, (uint64_t)k, shape);
+        hg_step_reset(ctx);
+        status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, &task->clips[held_out][clip], frame, shape);
+        if (status != HG_OK) break;
+        const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
+        status = hg_ctx_status(ctx);
+        if (status != HG_OK || !value) break;
+        total += hg_tensor_item(value, 0) / (double)n;
+        for (int i = 0; i < task->terms.n; i++)
+            terms[i] += task->terms.term[i].weight * unweighted[i] / ((double)(n * task->subset.n) * task->reference);
+    }
+    hg_no_grad_end(ctx);
+    if (status != HG_OK) return status;
+    hg_report_add(report, "validation", total);
+    for (int i = 0; i < task->terms.n; i++) hg_report_add(report, task->term_name[i][2], terms[i]);
+    return HG_OK;
+}
+
+/* ---- checkpoint --------------------------------------------------------------------------------------------- */
+
+static hg_status save(void *self, hg_h5 *file)
+{
+    const hg_hair_task *task = self;
+    char name[160], hash[24];
+    for (int i = 0; i < task->encoder->n_params; i++) {
+        const hg_tensor *param = task->encoder->params[i];
+        snprintf(name, sizeof name, "/encoder/%s", param->name);
+        HG_TRY(hg_h5_write(file, name, HG_F32, param->rank, param->shape, param->data));
+    }
+    const int64_t inputs = task->inputs;
+    HG_TRY(hg_h5_write(file, "/features/mean", HG_F64, 1, &inputs, task->mean));
+    HG_TRY(hg_h5_write(file, "/features/deviation", HG_F64, 1, &inputs, task->deviation));
+    HG_TRY(hg_h5_write(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, &task->reference));
+    snprintf(hash, sizeof hash, "%016llx", (unsigned long long)hg_groom_hash(task->groom));
+    return hg_h5_set_text(file, "/", "groom_hash", hash);
+}
+
+static hg_status load_features(hg_hair_task *task, hg_h5 *file)
+{
+    const int64_t inputs = task->inputs;
+    double *mean = NULL, *deviation = NULL, *reference = NULL;
+    hg_status status = hg_h5_read(file, "/features/mean", HG_F64, 1, &inputs, NULL, (void **)&mean);
+    if (status == HG_OK) status = hg_h5_read(file, "/features/deviation", HG_F64, 1, &inputs, NULL, (void **)&deviation);
+    if (status == HG_OK)
+        status = hg_h5_read(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&reference);
+    for (int64_t i = 0; status == HG_OK && i < inputs; i++)
+        if (!(deviation[i] > 0) || !isfinite(mean[i]))
+            status = hg_fail(HG_FORMAT, "checkpoint: the deviation of feature %s is %g, it has to be positive",
+                             task->features[i].name, deviation[i]);
+    if (status == HG_OK) {
+        memcpy(task->mean, mean, (size_t)inputs * sizeof *mean);
+        memcpy(task->deviation, deviation, (size_t)inputs * sizeof *deviation);
+        task->reference = reference[0];
+    }
+    hg_free(mean);
+    hg_free(deviation);
+    hg_free(reference);
+    return status;
+}
+
+static hg_status load(void *self, hg_h5 *file)
+{
+    hg_hair_task *task = self;
+    char *hash = NULL, expected[24];
+    HG_TRY(hg_h5_get_text(file, "/", "groom_hash", &hash));
+    snprintf(expected, sizeof expected, "%016llx", (unsigned long long)hg_groom_hash(task->groom));
+    const bool same = !strcmp(hash, expected);
+    hg_free(hash);
+    if (!same)
+        return hg_fail(HG_INVALID, "checkpoint: it was trained on another groom than the one the config names now");
+    for (int i = 0; i < task->encoder->n_params; i++) {
+        hg_tensor *param = task->encoder->params[i];
+        char name[160];
+        void *values = NULL;
+        snprintf(name, sizeof name, "/encoder/%s", param->name);
+        HG_TRY(hg_h5_read(file, name, HG_F32, param->rank, param->shape, NULL, &values));
+        const hg_status status = hg_tensor_write(param, values);
+        hg_free(values);
+        HG_TRY(status);
+    }
+    HG_TRY(load_features(task, file));
+    HG_TRY(hg_hair_strands_encode(task));
+    HG_TRY(hg_hair_features_tensors(task));
+    if (task->subset.n) HG_TRY(hg_hair_subset_features(&task->subset, task));
+    if (task->evaluation.n) HG_TRY(hg_hair_subset_features(&task->evaluation, task));
+    return HG_OK;
+}
+
+/* ---- create and destroy ------------------------------------------------------------------------------------- */
+
+static hg_status write_echo(const hg_hair_task *task, const char *echo)
+{
+    HG_TRY(hg_folder_create(task->folder));
+    char *path = hg_path_join(task->folder, "config.yaml");
+    if (!path) return HG_MEMORY;
+    const hg_status status = hg_file_write(path, echo, strlen(echo));
+    hg_free(path);
+    return status;
+}
+
+static hg_status take_config(hg_hair_task *task, const hg_config *config, const char *folder)
+{
+    HG_TRY(hg_hair_config_copy(&task->config, config));
+    task->seed = (uint64_t)hg_config_integer(task->config, "training.seed");
+    char *echo = hg_config_echo(task->config);
+    if (!echo) return HG_MEMORY;
+    task->config_hash = hg_hash(echo, strlen(echo), hg_ctx_seed(task->ctx));
+    hg_status status = HG_OK;
+    if (folder) {
+        task->folder = hg_strdup(folder);
+        status = !task->folder ? HG_MEMORY : task->opened ? HG_OK : write_echo(task, echo);
+    }
+    hg_free(echo);
+    return status;
+}
+
+static hg_status name_terms(hg_hair_task *task)
+{
+    const char *const prefix[3] = { "loss.", "joule.", "validation." };
+    for (int i = 0; i < task->terms.n; i++)
+        for (int k = 0; k < 3; k++) {
+            task->term_name[i][k] = hg_format("%s%s", prefix[k], task->terms.term[i].energy->name);
+            if (!task->term_name[i][k]) return HG_MEMORY;
+        }
+    return HG_OK;
+}
+
+static hg_train_options train_options(const hg_hair_task *task)
+{
+    const hg_config *c = task->config;
+    hg_train_options options = hg_train_defaults();
+    options.steps = hg_config_integer(c, "training.steps");
+    options.learning_rate = hg_config_number(c, "training.learning_rate");
+    options.final_fraction = hg_config_number(c, "training.final_fraction");
+    options.warm_up = hg_config_integer(c, "training.warm_up");
+    options.clip = hg_config_number(c, "training.clip");
+    options.beta1 = hg_config_number(c, "training.beta1");
+    options.beta2 = hg_config_number(c, "training.beta2");
+    options.epsilon = hg_config_number(c, "training.epsilon");
+    options.weight_decay = hg_config_number(c, "training.weight_decay");
+    options.log_every = hg_config_integer(c, "training.log_every");
+    options.validate_every = hg_config_integer(c, "training.validate_every");
+    options.checkpoint_every = hg_config_integer(c, "training.checkpoint_every");
+    options.folder = task->folder;
+    options.config_hash = task->config_hash;
+    options.backend = hg_physics_backend_name(task->subset.physics);
+    return options;
+}
+
+static hg_status create(hg_hair_task *task, const hg_config *config, const char *folder, const hg_progress *progress)
+{
+    HG_TRY(take_config(task, config, folder));
+    HG_TRY(hg_hair_terms_create(&task->terms, task->config));
+    HG_TRY(name_terms(task));
+    HG_TRY(hg_hair_world_create(task, progress));
+    HG_TRY(hg_hair_strands_create(task, progress));
+    HG_TRY(hg_hair_features_create(task));
+    task->reference = hg_hair_reference_energy(task->groom);
+    HG_TRY(make_model(task));
+    hg_progress_report(progress, 0, "physics");
+    HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));
+    task->batch_bytes = hg_hair_batch_bytes(task, hg_config_integer(task->config, "training.frames"), task->subset.n);
+    task->validation_batch = hg_alloc(1, hg_hair_batch_bytes(task, 1, task->subset.n));
+    if (!task->validation_batch) return HG_MEMORY;
+    task->task = (hg_task){ .self = task,
+                            .batch_bytes = task->batch_bytes,
+                            .sample = hg_hair_sample,
+                            .loss = loss,
+                            .validate = validate,
+                            .save = save,
+                            .load = load };
+    task->options = train_options(task);
+    return HG_OK;
+}
+
+static hg_status create_or_open(hg_hair_task **out, hg_ctx *ctx, const hg_config *config, const char *run_folder,
+                                bool opened, const hg_progress *progress)
+{
+    *out = NULL;
+    hg_hair_task *task = hg_alloc(1, sizeof *task);
+    if (!task) return HG_MEMORY;
+    task->ctx = ctx;
+    task->opened = opened;
+    const hg_status status = create(task, config, run_folder, progress);
+    if (status != HG_OK) {
+        hg_hair_task_destroy(task);
+        return status;
+    }
+    *out = task;
+    return HG_OK;
+}
+
+hg_status hg_hair_task_create(hg_hair_task **out, hg_ctx *ctx, const hg_config *config, const char *run_folder,
+                              const hg_progress *progress)
+{
+    return create_or_open(out, ctx, config, run_folder, false, progress);
+}
+
+void hg_hair_task_destroy(hg_hair_task *task)
+{
+    if (!task) return;
+    hg_hair_subset_destroy(&task->subset);
+    hg_hair_subset_destroy(&task->evaluation);
+    hg_model_destroy(task->model);
+    hg_model_destroy(task->encoder);
+    hg_tensor_destroy(task->output_map);
+    hg_tensor_destroy(task->mean_tensor);
+    hg_tensor_destroy(task->inverse_deviation);
+    for (int i = 0; i < task->n_features; i++) hg_free((char *)(uintptr_t)task->features[i].name);
+    hg_free(task->features);
+    hg_free(task->mean);
+    hg_free(task->deviation);
+    hg_free(task->strand_raw);
+    hg_free(task->lock);
+    hg_free(task->body_distance);
+    hg_free(task->scalp_distance);
+    hg_body_tree_destroy(task->tree);
+    hg_poser_destroy(task->poser);
+    hg_free(task->posed_body);
+    for (int held_out = 0; held_out < 2; held_out++) {
+        for (int i = 0; i < task->n_clips[held_out]; i++) {
+            hg_motion_destroy(task->clips[held_out][i].motion);
+            hg_hair_track_destroy(&task->clips[held_out][i].track);
+        }
+        hg_free(task->clips[held_out]);
+    }
+    hg_groom_destroy(task->groom);
+    hg_body_destroy(task->body);
+    for (int i = 0; i < HG_HAIR_TERMS; i++)
+        for (int k = 0; k < 3; k++) hg_free(task->term_name[i][k]);
+    hg_free(task->validation_batch);
+    hg_free(task->folder);
+    hg_config_destroy(task->config);
+    hg_free(task);
+}
+
+hg_status hg_hair_task_open(hg_hair_task **out, hg_ctx *ctx, const char *run_folder, const hg_progress *progress)
+{
+    *out = NULL;
+    char *config_path = hg_path_join(run_folder, "config.yaml"), *best = hg_path_join(run_folder, "best.h5");
+    char *checkpoint = hg_path_join(run_folder, "checkpoint.h5");
+    hg_config *config = NULL;
+    hg_hair_task *task = NULL;
+    hg_status status = config_path && best && checkpoint ? HG_OK : HG_MEMORY;
+    if (status == HG_OK) status = hg_hair_config_load(&config, config_path);
+    const char *weights = status == HG_OK && hg_file_exists(best) ? best : checkpoint;
+    if (status == HG_OK && !hg_file_exists(weights))
+        status = hg_fail(HG_IO, "%s: no best.h5 and no checkpoint.h5: nothing has been trained here yet", run_folder);
+    if (status == HG_OK) status = create_or_open(&task, ctx, config, run_folder, true, progress);
+    if (status == HG_OK) status = hg_checkpoint_load(weights, task->model, NULL, NULL, &task->task, NULL, NULL);
+    hg_config_destroy(config);
+    hg_free(config_path);
+    hg_free(best);
+    hg_free(checkpoint);
+    if (status != HG_OK) {
+        hg_hair_task_destroy(task);
+        return status;
+    }
+    *out = task;
+    return HG_OK;
+}
+
+/* ---- what others may ask ------------------------------------------------------------------------------------ */
+
+const hg_task *hg_hair_task_of(hg_hair_task *task) { return &task->task; }
+hg_model *hg_hair_model(hg_hair_task *task) { return task->model; }
+hg_train_options hg_hair_train_options(const hg_hair_task *task) { return task->options; }
+const hg_groom *hg_hair_groom(const hg_hair_task *task) { return task->groom; }
+const hg_body *hg_hair_body(const hg_hair_task *task) { return task->body; }
+int hg_hair_clips(const hg_hair_task *task, bool held_out) { return task->n_clips[held_out]; }
+const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i)
+{
+    return i >= 0 && i < task->n_clips[held_out] ? task->clips[held_out][i].motion : NULL;
+}

@@ -1,0 +1,221 @@
+/* strands: what the network is told of a strand: [root UV 2 | z_rest | z_lock].
+ *
+ * z_rest is the code of the rest strand, seen from its root in head rest space, by an autoencoder that is trained once on
+ * every strand of the groom and then frozen. z_lock is the mean code of the strand's lock; locks are clusters of roots
+ * in UV of the FULL groom, so that a strand has the same features whichever strands are drawn with it. The encoder is
+ * kept in the run folder (encoder.h5) and in every checkpoint. */
+#include "tasks/hair.h"
+
+#include <math.h>
+#include <string.h>
+
+enum { ROWS = 4096 }; /* strands encoded at a time */
+
+/* ---- autoencoder training ----------------------------------------------------------------------------------- */
+
+typedef struct {
+    float *strands; /* [S,inputs], order one */
+    int64_t n, batch;
+    int inputs;
+} encoder_task;
+
+static hg_status encoder_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch)
+{
+    const encoder_task *task = self;
+    (void)ctx;
+    float *rows = batch;
+    for (int64_t i = 0; i < task->batch; i++) {
+        const uint64_t s = hg_random_below(seed, 7001, step * (uint64_t)task->batch + (uint64_t)i, (uint64_t)task->n);
+        memcpy(rows + i * task->inputs, task->strands + (int64_t)s * task->inputs, (size_t)task->inputs * sizeof *rows);
+    }
+    return HG_OK;
+}
+
+static hg_tensor *encoder_loss(void *self, hg_ctx *ctx, hg_model *model, const void *batch, hg_report *report)
+{
+    const encoder_task *task = self;
+    (void)report;
+    hg_tensor *x = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ task->batch, task->inputs }, (void *)(uintptr_t)batch);
+    hg_tensor *y = model->forward(model->self, ctx, &x, 1);
+    return hg_mean(ctx, hg_square(ctx, hg_sub(ctx, y, x)));
+}
+
+static hg_status train_encoder(hg_hair_task *task, float *strands, int inputs, const hg_progress *progress)
+{
+    encoder_task data = { .strands = strands, .n = task->groom->strands, .inputs = inputs };
+    data.batch = data.n < 512 ? data.n : 512;
+    const hg_task learn = { .self = &data,
+                            .batch_bytes = (size_t)(data.batch * inputs) * sizeof(float),
+                            .sample = encoder_sample,
+                            .loss = encoder_loss };
+    hg_train_options options = hg_train_defaults();
+    options.steps = hg_config_integer(task->config, "features.encoder_steps");
+    options.learning_rate = 1e-3;
+    options.warm_up = options.steps < 100 ? 0 : 20;
+    options.final_fraction = 0.02;
+    hg_train_result result;
+    const hg_status status = hg_train(task->ctx, task->encoder, &learn, &options, progress, &result);
+    hg_step_reset(task->ctx);
+    return status;
+}
+
+/* ---- codes -------------------------------------------------------------------------------------------------- */
+
+/* Vertices 1.. relative to the root, by the groom's mean length: order one. */
+static float *strand_inputs(const hg_groom *groom, int inputs)
+{
+    float *out = hg_alloc((size_t)(groom->strands * inputs), sizeof *out);
+    if (!out) return NULL;
+    double squares = 0;
+    for (int64_t s = 0; s < groom->strands; s++) {
+        const float *root = groom->points + s * groom->vertices * 3;
+        for (int i = 0; i < inputs; i++) {
+            const float d = root[3 + i] - root[i % 3];
+            out[s * inputs + i] = d;
+            squares += (double)d * (double)d;
+        }
+    }
+    const double spread = sqrt(squares / (double)(groom->strands * inputs));
+    const float scale = (float)(1 / fmax(spread, 1e-6));
+    for (int64_t i = 0; i < groom->strands * inputs; i++) out[i] *= scale;
+    return out;
+}
+
+static hg_status encode(hg_hair_task *task, float *strands, int inputs)
+{
+    const int64_t n = task->groom->strands;
+    const int latent = task->latent;
+    hg_status status = HG_OK;
+    for (int64_t first = 0; status == HG_OK && first < n; first += ROWS) {
+        const int64_t count = n - first < ROWS ? n - first : ROWS;
+        hg_step_reset(task->ctx);
+        hg_no_grad_begin(task->ctx);
+        hg_tensor *x = hg_tensor_wrap(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, strands + first * inputs);
+        hg_tensor *z = hg_strand_encode(task->encoder, task->ctx, x);
+        hg_no_grad_end(task->ctx);
+        status = hg_ctx_status(task->ctx);
+        const float *code = z ? z->data : NULL;
+        for (int64_t i = 0; status == HG_OK && i < count; i++)
+            memcpy(task->strand_raw + (first + i) * task->strand_inputs + 2, code + i * latent,
+                   (size_t)latent * sizeof *code);
+    }
+    hg_step_reset(task->ctx);
+    return status;
+}
+
+static hg_status lock_codes(hg_hair_task *task)
+{
+    const hg_groom *groom = task->groom;
+    const int latent = task->latent, width = task->strand_inputs;
+    double *sum = hg_alloc((size_t)(task->locks * latent), sizeof *sum);
+    int64_t *members = hg_alloc((size_t)task->locks, sizeof *members);
+    if (!sum || !members) {
+        hg_free(sum);
+        hg_free(members);
+        return HG_MEMORY;
+    }
+    for (int64_t s = 0; s < groom->strands; s++) {
+        const float *code = task->strand_raw + s * width + 2;
+        members[task->lock[s]]++;
+        for (int k = 0; k < latent; k++) sum[task->lock[s] * latent + k] += (double)code[k];
+    }
+    for (int64_t s = 0; s < groom->strands; s++) {
+        float *row = task->strand_raw + s * width;
+        const int32_t lock = task->lock[s];
+        row[0] = groom->root_uv[2 * s], row[1] = groom->root_uv[2 * s + 1];
+        for (int k = 0; k < latent; k++) row[2 + latent + k] = (float)(sum[lock * latent + k] / (double)members[lock]);
+    }
+    hg_free(sum);
+    hg_free(members);
+    return HG_OK;
+}
+
+hg_status hg_hair_strands_encode(hg_hair_task *task)
+{
+    const int inputs = (int)(task->groom->vertices - 1) * 3;
+    float *strands = strand_inputs(task->groom, inputs);
+    if (!strands) return HG_MEMORY;
+    hg_status status = encode(task, strands, inputs);
+    hg_free(strands);
+    if (status == HG_OK) status = lock_codes(task);
+    return status;
+}
+
+/* What the encoder depends on: a stored one with another hash is not used. */
+static uint64_t encoder_hash(const hg_hair_task *task)
+{
+    const int64_t settings[] = { task->latent, hg_config_integer(task->config, "features.encoder_width"),
+                                 hg_config_integer(task->config, "features.encoder_steps"), (int64_t)task->seed };
+    return hg_hash(settings, sizeof settings, hg_groom_hash(task->groom));
+}
+
+static hg_status stored_encoder(hg_hair_task *task, const char *path, uint64_t hash, bool *found)
+{
+    *found = false;
+    if (!path || !hg_file_exists(path)) return HG_OK;
+    uint64_t stored = 0;
+    hg_h5 *file = NULL;
+    HG_TRY(hg_h5_open(&file, path));
+    char *text = NULL;
+    const hg_status status = hg_h5_get_text(file, "/", "config_hash", &text);
+    hg_h5_close(file);
+    if (status != HG_OK) return status;
+    sscanf(text, "%llx", (unsigned long long *)&stored);
+    hg_free(text);
+    if (stored != hash) return HG_OK;
+    HG_TRY(hg_checkpoint_load(path, task->encoder, NULL, NULL, NULL, NULL, NULL));
+    *found = true;
+    return HG_OK;
+}
+
+hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress)
+{
+    const hg_groom *groom = task->groom;
+    const int inputs = (int)(groom->vertices - 1) * 3;
+    task->latent = (int)hg_config_integer(task->config, "features.latent");
+    task->strand_inputs = 2 + 2 * task->latent;
+    task->strand_raw = hg_alloc((size_t)(groom->strands * task->strand_inputs), sizeof(float));
+    task->lock = hg_alloc((size_t)groom->strands, sizeof *task->lock);
+    if (!task->strand_raw || !task->lock) return HG_MEMORY;
+    HG_TRY(hg_clusters(groom->strands, groom->root_uv, (int)hg_config_integer(task->config, "features.lock_size"),
+                       task->lock, &task->locks));
+    const hg_model_spec spec = { .inputs = inputs,
+                                 .outputs = inputs,
+                                 .width = (int)hg_config_integer(task->config, "features.encoder_width"),
+                                 .depth = 2,
+                                 .latent = task->latent,
+                                 .activation = HG_SILU,
+                                 .seed = task->seed };
+    HG_TRY(hg_model_create(&task->encoder, task->ctx, "strand_autoencoder", &spec));
+
+    char *path = task->folder ? hg_path_join(task->folder, "encoder.h5") : NULL;
+    const uint64_t hash = encoder_hash(task);
+    bool found = false;
+    hg_status status = task->folder && !path ? HG_MEMORY : HG_OK;
+    /* A run that is opened brings its encoder with the checkpoint. */
+    if (status == HG_OK && !task->opened) status = stored_encoder(task, path, hash, &found);
+    if (status == HG_OK && !task->opened && !found) {
+        hg_progress_report(progress, 0, "strand encoder");
+        float *strands = strand_inputs(groom, inputs);
+        status = strands ? train_encoder(task, strands, inputs, progress) : HG_MEMORY;
+        hg_free(strands);
+        if (status == HG_OK && path) status = hg_checkpoint_save(path, task->encoder, NULL, 0, NULL, "", hash);
+    }
+    hg_free(path);
+    HG_TRY(status);
+    return hg_hair_strands_encode(task);
+}
+
+hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out)
+{
+    (void)ctx;
+    for (int64_t i = 0; i < n; i++) {
+        const int64_t s = strand ? strand[i] : i;
+        if (s < 0 || s >= task->groom->strands)
+            return hg_fail(HG_INVALID, "strand %lld is not one of the %lld of the groom", (long long)s,
+                           (long long)task->groom->strands);
+        memcpy(out + i * task->strand_inputs, task->strand_raw + s * task->strand_inputs,
+               (size_t)task->strand_inputs * sizeof *out);
+    }
+    return HG_OK;
+}

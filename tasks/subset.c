@@ -1,0 +1,242 @@
+/* subset: the strands that a step sees, with the physics made for them.
+ *
+ * Drawn from (seed, purpose, epoch) alone. `locks`: whole locks, spread over the scalp by farthest-point selection from
+ * a seeded first one. `spread`: strands in a seeded order within each lock, taken from all locks in turn; evaluation
+ * always draws this way, so that it sees strands that training has not. Neighbour lists and rest densities belong to the
+ * subset: they are made from its own rest groom. Masses and stiffnesses stay those of one hair: a guide that stands for
+ * N hairs multiplies every one of them by N, which the reference energy divides out again. */
+#include "tasks/hair.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ---- drawing ------------------------------------------------------------------------------------------------ */
+
+typedef struct {
+    uint64_t key;
+    int32_t item;
+} keyed;
+
+static int by_key(const void *a_, const void *b_)
+{
+    const keyed *a = a_, *b = b_;
+    if (a->key != b->key) return a->key < b->key ? -1 : 1;
+    return a->item < b->item ? -1 : a->item > b->item;
+}
+
+static int by_number(const void *a_, const void *b_)
+{
+    const int32_t a = *(const int32_t *)a_, b = *(const int32_t *)b_;
+    return a < b ? -1 : a > b;
+}
+
+static uint64_t random_key(uint64_t seed, uint64_t stream, uint64_t counter)
+{
+    uint32_t bits[4];
+    hg_random_bits(seed, stream, counter, bits);
+    return (uint64_t)bits[0] << 32 | bits[1];
+}
+
+/* Turn-taking: the k-th strand of every lock comes before the (k+1)-th of any. */
+static hg_status draw_spread(const hg_hair_task *task, uint64_t stream, int64_t want, int32_t *out)
+{
+    const int64_t strands = task->groom->strands;
+    keyed *order = hg_alloc((size_t)strands, sizeof *order);
+    uint64_t *taken = hg_alloc((size_t)task->locks, sizeof *taken);
+    if (!order || !taken) {
+        hg_free(order);
+        hg_free(taken);
+        return HG_MEMORY;
+    }
+    for (int64_t s = 0; s < strands; s++)
+        order[s] = (keyed){ random_key(task->seed, stream, (uint64_t)s), (int32_t)s };
+    qsort(order, (size_t)strands, sizeof *order, by_key);
+    for (int64_t i = 0; i < strands; i++) {
+        const uint64_t turn = taken[task->lock[order[i].item]]++;
+        order[i].key = turn << 32 | (order[i].key >> 32);
+    }
+    qsort(order, (size_t)strands, sizeof *order, by_key);
+    for (int64_t i = 0; i < want; i++) out[i] = order[i].item;
+    hg_free(order);
+    hg_free(taken);
+    return HG_OK;
+}
+
+static hg_status draw_locks(const hg_hair_task *task, uint64_t stream, int64_t want, int32_t *out)
+{
+    const int64_t strands = task->groom->strands;
+    const int32_t locks = task->locks;
+    double *place = hg_alloc((size_t)locks * 3, sizeof *place), *nearest = hg_alloc((size_t)locks, sizeof *nearest);
+    if (!place || !nearest) {
+        hg_free(place);
+        hg_free(nearest);
+        return HG_MEMORY;
+    }
+    for (int64_t s = 0; s < strands; s++) {
+        double *sum = place + 3 * task->lock[s];
+        sum[0] += (double)task->groom->root_uv[2 * s];
+        sum[1] += (double)task->groom->root_uv[2 * s + 1];
+        sum[2] += 1;
+    }
+    for (int32_t l = 0; l < locks; l++) {
+        nearest[l] = (double)INFINITY;
+        if (place[3 * l + 2] > 0) place[3 * l] /= place[3 * l + 2], place[3 * l + 1] /= place[3 * l + 2];
+    }
+    int32_t lock = (int32_t)hg_random_below(task->seed, stream, 0, (uint64_t)locks);
+    for (int64_t n = 0; n < want;) {
+        for (int64_t s = 0; s < strands && n < want; s++)
+            if (task->lock[s] == lock) out[n++] = (int32_t)s;
+        nearest[lock] = -1;
+        int32_t farthest = -1;
+        for (int32_t l = 0; l < locks; l++) {
+            const double du = place[3 * l] - place[3 * lock], dv = place[3 * l + 1] - place[3 * lock + 1];
+            if (nearest[l] >= 0) nearest[l] = fmin(nearest[l], du * du + dv * dv);
+            if (nearest[l] >= 0 && (farthest < 0 || nearest[l] > nearest[farthest])) farthest = l;
+        }
+        if (farthest < 0) break;
+        lock = farthest;
+    }
+    hg_free(place);
+    hg_free(nearest);
+    return HG_OK;
+}
+
+static hg_status draw(hg_hair_subset *subset, const hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch)
+{
+    const int64_t strands = task->groom->strands;
+    const int64_t want = hg_config_integer(task->config, "training.strands");
+    subset->n = want < strands ? want : strands;
+    subset->strand = hg_alloc((size_t)subset->n, sizeof *subset->strand);
+    if (!subset->strand) return HG_MEMORY;
+    const uint64_t stream = 7100 + 2 * (uint64_t)epoch + (purpose == HG_HAIR_EVALUATION ? 1 : 0);
+    const bool spread = purpose == HG_HAIR_EVALUATION || !strcmp(hg_config_text(task->config, "training.subset"), "spread");
+    HG_TRY(spread ? draw_spread(task, stream, subset->n, subset->strand)
+                  : draw_locks(task, stream, subset->n, subset->strand));
+    qsort(subset->strand, (size_t)subset->n, sizeof *subset->strand, by_number);
+    return HG_OK;
+}
+
+/* ---- physics ------------------------------------------------------------------------------------------------ */
+
+/* mass of a vertex: linear density x half of its adjacent rest edges (a real hair: 65 ug/cm). */
+static const double linear_density = 6.5e-6; /* kg/m */
+
+static void measure(const hg_groom *groom, int64_t strand, double *lengths, double *mass)
+{
+    const int64_t V = groom->vertices;
+    const float *x = groom->points + strand * V * 3;
+    for (int64_t v = 0; v + 1 < V; v++) {
+        const double dx = (double)x[3 * v + 3] - (double)x[3 * v], dy = (double)x[3 * v + 4] - (double)x[3 * v + 1],
+                     dz = (double)x[3 * v + 5] - (double)x[3 * v + 2];
+        lengths[v] = sqrt(dx * dx + dy * dy + dz * dz);
+    }
+    for (int64_t v = 0; mass && v < V; v++)
+        mass[v] = linear_density * 0.5 * ((v > 0 ? lengths[v - 1] : 0) + (v + 1 < V ? lengths[v] : 0));
+}
+
+static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
+{
+    const int64_t n = subset->n, V = task->groom->vertices;
+    double *rest = hg_alloc((size_t)(n * V) * 3, sizeof *rest), *mass = hg_alloc((size_t)(n * V), sizeof *mass);
+    double *body = hg_alloc((size_t)(n * V), sizeof *body), *scalp = hg_alloc((size_t)(n * V), sizeof *scalp);
+    hg_status status = rest && mass && body && scalp ? HG_OK : HG_MEMORY;
+    for (int64_t i = 0; status == HG_OK && i < n; i++) {
+        const int64_t s = subset->strand[i];
+        measure(task->groom, s, subset->lengths + i * (V - 1), mass + i * V);
+        for (int64_t k = 0; k < 3 * V; k++) rest[i * 3 * V + k] = (double)task->groom->points[s * 3 * V + k];
+        for (int64_t v = 0; v < V; v++) {
+            body[i * V + v] = (double)task->body_distance[s * V + v];
+            scalp[i * V + v] = (double)task->scalp_distance[s * V + v];
+        }
+    }
+    if (status == HG_OK) {
+        const hg_groom_attribute attributes[] = { { "body_distance", body }, { "scalp_distance", scalp } };
+        const hg_groom_data data = { .grooms = 1,
+                                     .strands = n,
+                                     .vertices = V,
+                                     .rest = rest,
+                                     .mass = mass,
+                                     .attributes = attributes,
+                                     .n_attributes = 2,
+                                     .body = task->tree };
+        status = hg_physics_create(&subset->physics, task->ctx, HG_F32, task->terms.term, task->terms.n, &data);
+    }
+    if (status == HG_OK) {
+        const char *backend = hg_config_text(task->config, "training.backend");
+        if (strcmp(backend, "auto"))
+            status = hg_physics_backend(subset->physics, !strcmp(backend, "compiled") ? HG_BACKEND_COMPILED
+                                                                                     : HG_BACKEND_INTERPRETER);
+    }
+    hg_free(rest);
+    hg_free(mass);
+    hg_free(body);
+    hg_free(scalp);
+    return status;
+}
+
+hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch)
+{
+    *subset = (hg_hair_subset){ 0 };
+    const int64_t V = task->groom->vertices;
+    hg_status status = draw(subset, task, purpose, epoch);
+    if (status == HG_OK) {
+        const int64_t n = subset->n;
+        subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, V, 3 });
+        subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ n, task->strand_inputs });
+        subset->lengths = hg_alloc((size_t)(n * (V - 1)), sizeof(double));
+        if (!subset->rest || !subset->features || !subset->lengths) status = HG_MEMORY;
+    }
+    if (status == HG_OK) status = hg_hair_subset_features(subset, task);
+    if (status == HG_OK) status = make_physics(subset, task);
+    if (status != HG_OK) hg_hair_subset_destroy(subset);
+    return status;
+}
+
+/* Rest strands and normalised features: again when a checkpoint brought another encoder. */
+hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task)
+{
+    const int64_t V = task->groom->vertices;
+    const int width = task->strand_inputs;
+    float *rest = subset->rest->data, *features = subset->features->data;
+    for (int64_t i = 0; i < subset->n; i++) {
+        const int64_t s = subset->strand[i];
+        memcpy(rest + i * V * 3, task->groom->points + s * V * 3, (size_t)V * 3 * sizeof *rest);
+        for (int k = 0; k < width; k++)
+            features[i * width + k] =
+                (float)(((double)task->strand_raw[s * width + k] - task->mean[k]) / task->deviation[k]);
+    }
+    hg_tensor_touch(subset->rest);
+    hg_tensor_touch(subset->features);
+    return HG_OK;
+}
+
+void hg_hair_subset_destroy(hg_hair_subset *subset)
+{
+    hg_physics_destroy(subset->physics);
+    hg_tensor_destroy(subset->rest);
+    hg_tensor_destroy(subset->features);
+    hg_free(subset->lengths);
+    hg_free(subset->strand);
+    *subset = (hg_hair_subset){ 0 };
+}
+
+hg_status hg_hair_evaluation_subset(hg_hair_task *task)
+{
+    if (task->evaluation.n) return HG_OK;
+    return hg_hair_subset_create(&task->evaluation, task, HG_HAIR_EVALUATION, 0);
+}
+
+/* m g L of the mean strand of the groom: the unit of the loss. */
+double hg_hair_reference_energy(const hg_groom *groom)
+{
+    double length = 0;
+    for (int64_t s = 0; s < groom->strands; s++) {
+        const float *x = groom->points + s * groom->vertices * 3;
+        for (int64_t v = 0; v + 1 < groom->vertices; v++, x += 3)
+            length += sqrt(pow((double)x[3] - (double)x[0], 2) + pow((double)x[4] - (double)x[1], 2) +
+                           pow((double)x[5] - (double)x[2], 2));
+    }
+    length /= (double)groom->strands;
+    return fmax(linear_density * length * 9.81 * length, 1e-12);
+}
