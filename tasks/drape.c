@@ -101,16 +101,18 @@ hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
                         int64_t frames, int64_t stride, hg_drape_sink sink, void *self, const hg_progress *progress)
 {
     if (stride < 1) return hg_fail(HG_INVALID, "drape: a stride of %lld strands; at least 1", (long long)stride);
-    if (first < 0 || first >= motion->frames)
-        return hg_fail(HG_INVALID, "drape: frame %lld of a motion of %lld", (long long)first, (long long)motion->frames);
     hg_motion *resampled = NULL;
     if (motion->rate < task->rate * (1 - 1e-6) || motion->rate > task->rate * (1 + 1e-6)) {
         HG_TRY(hg_motion_resample(&resampled, motion, task->rate));
         motion = resampled;
     }
-    if (frames <= 0 || first + frames > motion->frames) frames = motion->frames - first;
     drape d = { 0 };
-    hg_status status = drape_prepare(&d, task, ctx, motion, stride);
+    hg_status status = HG_OK;
+    if (first < 0 || first >= motion->frames)
+        status = hg_fail(HG_INVALID, "drape: frame %lld of a motion of %lld", (long long)first, (long long)motion->frames);
+    else if (frames <= 0 || first + frames > motion->frames)
+        frames = motion->frames - first;
+    if (status == HG_OK) status = drape_prepare(&d, task, ctx, motion, stride);
     for (int64_t i = 0; status == HG_OK && i < frames; i++) {
         status = drape_frame(&d, task, ctx, motion, shape, first + i, sink, self);
         hg_progress_report(progress, (double)(i + 1) / (double)frames, "draping frame %lld of %lld", (long long)(i + 1),

@@ -146,7 +146,7 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         int clip = 0;
         while (frame >= task->clips[held_out][clip].motion->frames) frame -= task->clips[held_out][clip++].motion->frames;
         double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 };
-        hg_hair_draw_shape(task, task->seed + 0x5eed, (uint64_t)k, shape);
+        hg_hair_held_out_shape(task, k, shape);
         hg_step_reset(ctx);
         status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, &task->clips[held_out][clip], frame, shape);
         if (status != HG_OK) break;
@@ -415,6 +415,7 @@ hg_model *hg_hair_model(hg_hair_task *task) { return task->model; }
 hg_train_options hg_hair_train_options(const hg_hair_task *task) { return task->options; }
 const hg_groom *hg_hair_groom(const hg_hair_task *task) { return task->groom; }
 const hg_body *hg_hair_body(const hg_hair_task *task) { return task->body; }
+double hg_hair_rate(const hg_hair_task *task) { return task->rate; }
 int hg_hair_clips(const hg_hair_task *task, bool held_out) { return task->n_clips[held_out]; }
 const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i)
 {

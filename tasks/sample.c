@@ -86,3 +86,9 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
     }
     return HG_OK;
 }
+
+/* Shapes of another stream of numbers than training's. */
+void hg_hair_held_out_shape(const hg_hair_task *task, int64_t i, double shape[HG_SHAPES])
+{
+    hg_hair_draw_shape(task, task->seed + 0x5eed, (uint64_t)i, shape);
+}

@@ -36,6 +36,7 @@ hg_train_options hg_hair_train_options(const hg_hair_task *task);
 hg_status hg_hair_task_open(hg_hair_task **task, hg_ctx *ctx, const char *run_folder, const hg_progress *progress);
 const hg_groom *hg_hair_groom(const hg_hair_task *task);
 const hg_body  *hg_hair_body(const hg_hair_task *task);
+double hg_hair_rate(const hg_hair_task *task);                    /* frames per second that the network was trained for */
 int hg_hair_clips(const hg_hair_task *task, bool held_out);
 const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i);
 
@@ -70,7 +71,14 @@ typedef struct {
     double tip_amplitude;         /* rms tip speed in the head's frame [m/s] */
     double tip_lag;               /* s, by the largest correlation of tip and head angular movement; NAN when still */
 } hg_hair_metrics;
+/* `frames` 0: the whole clip. Strands are drawn over the whole groom, as many as in training. */
 hg_status hg_hair_evaluate(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t frames, hg_hair_metrics *metrics, const hg_progress *progress);
+
+void      hg_hair_held_out_shape(const hg_hair_task *task, int64_t i, double shape[HG_SHAPES]); /* the i-th body shape that training does not draw */
+/* Mean over clips, weighted by their frames; tip_lag over those that have one. */
+void      hg_hair_metrics_mean(const hg_hair_metrics *metrics, int n, hg_hair_metrics *mean);
+/* { "clips": [ { "clip": name, .. }, .. ], "mean": { .. } }, every number with its unit in its name. */
+hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clips, const hg_hair_metrics *metrics);
 
 #ifdef __cplusplus
 }

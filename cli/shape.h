@@ -1,0 +1,12 @@
+/* shape: body shape coefficients and clips by name on the command line. */
+#ifndef HG_CLI_SHAPE_H
+#define HG_CLI_SHAPE_H
+
+#include "cli/cli.h"
+
+/* "0.5,0,-1": up to ten numbers, the rest 0; absent: false in *given and all 0. */
+hg_status cli_shape(const hg_arguments *arguments, double shape[HG_SHAPES], bool *given);
+/* The clip of a run whose name, or the last part of it, is `name`. NULL and a message that lists those there are. */
+const hg_motion *cli_clip(const hg_hair_task *task, const char *name);
+
+#endif

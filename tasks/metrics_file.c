@@ -1,0 +1,86 @@
+/* metrics_file: metrics of several clips, their mean, and both as JSON. */
+#include "tasks/tasks.h"
+
+#include <math.h>
+
+void hg_hair_metrics_mean(const hg_hair_metrics *metrics, int n, hg_hair_metrics *mean)
+{
+    *mean = (hg_hair_metrics){ .tip_lag = (double)NAN };
+    double frames = 0, lag = 0, lag_frames = 0;
+    for (int i = 0; i < n; i++) frames += (double)metrics[i].frames;
+    for (int i = 0; i < n; i++) {
+        const hg_hair_metrics *m = &metrics[i];
+        const double share = frames > 0 ? (double)m->frames / frames : 0;
+        mean->frames += m->frames;
+        mean->strands = m->strands;
+        mean->length_error += share * m->length_error;
+        mean->orientation += share * m->orientation;
+        mean->inside += share * m->inside;
+        mean->inside_posed += share * m->inside_posed;
+        mean->energy += share * m->energy;
+        mean->energy_posed += share * m->energy_posed;
+        mean->gravity_body += share * m->gravity_body;
+        mean->gravity_body_posed += share * m->gravity_body_posed;
+        mean->tip_amplitude += share * m->tip_amplitude;
+        mean->n_terms = m->n_terms;
+        for (int k = 0; k < m->n_terms; k++) {
+            mean->term[k] = m->term[k];
+            mean->term_energy[k] += share * m->term_energy[k];
+            mean->term_posed[k] += share * m->term_posed[k];
+        }
+        if (isfinite(m->tip_lag)) lag += (double)m->frames * m->tip_lag, lag_frames += (double)m->frames;
+    }
+    if (lag_frames > 0) mean->tip_lag = lag / lag_frames;
+}
+
+static void number(hg_text *text, const char *indent, const char *name, double value, const char *end)
+{
+    if (isfinite(value))
+        hg_text_add(text, "%s\"%s\": %.6g%s\n", indent, name, value, end);
+    else
+        hg_text_add(text, "%s\"%s\": null%s\n", indent, name, end);
+}
+
+static void one(hg_text *text, const char *in, const hg_hair_metrics *m)
+{
+    number(text, in, "frames", (double)m->frames, ",");
+    number(text, in, "strands", (double)m->strands, ",");
+    number(text, in, "length_error_percent", m->length_error, ",");
+    number(text, in, "orientation_degrees", m->orientation, ",");
+    number(text, in, "inside_percent", m->inside, ",");
+    number(text, in, "inside_posed_percent", m->inside_posed, ",");
+    number(text, in, "energy_joule_per_strand", m->energy, ",");
+    number(text, in, "energy_posed_joule_per_strand", m->energy_posed, ",");
+    number(text, in, "gravity_body_joule_per_strand", m->gravity_body, ",");
+    number(text, in, "gravity_body_posed_joule_per_strand", m->gravity_body_posed, ",");
+    number(text, in, "tip_speed_metres_per_second", m->tip_amplitude, ",");
+    number(text, in, "tip_lag_seconds", m->tip_lag, ",");
+    hg_text_add(text, "%s\"terms\": {\n", in);
+    for (int k = 0; k < m->n_terms; k++) {
+        hg_text_add(text, "%s  \"%s\": { \"energy\": %.6g, \"posed\": %.6g }%s\n", in, m->term[k], m->term_energy[k],
+                    m->term_posed[k], k + 1 < m->n_terms ? "," : "");
+    }
+    hg_text_add(text, "%s}\n", in);
+}
+
+hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clips, const hg_hair_metrics *metrics)
+{
+    hg_text text = { 0 };
+    hg_text_add(&text, "{\n  \"clips\": [\n");
+    for (int i = 0; i < n; i++) {
+        hg_text_add(&text, "    {\n      \"clip\": \"");
+        for (const char *c = clips[i]; *c; c++)
+            if ((unsigned char)*c >= 0x20) hg_text_add(&text, *c == '"' || *c == '\\' ? "\\%c" : "%c", *c);
+        hg_text_add(&text, "\",\n");
+        one(&text, "      ", &metrics[i]);
+        hg_text_add(&text, "    }%s\n", i + 1 < n ? "," : "");
+    }
+    hg_hair_metrics mean;
+    hg_hair_metrics_mean(metrics, n, &mean);
+    hg_text_add(&text, "  ],\n  \"mean\": {\n");
+    one(&text, "    ", &mean);
+    hg_text_add(&text, "  }\n}\n");
+    const hg_status status = text.failed ? HG_MEMORY : hg_file_write(path, text.data, text.size);
+    hg_text_free(&text);
+    return status;
+}
