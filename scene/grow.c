@@ -16,14 +16,15 @@ typedef struct {
     double radius, step;      /* of the helix [m] */
     double volume;            /* m, how far strands lie above the body, in the mean */
     double lock;              /* 0..1, how far tips are drawn together */
+    double parting;           /* 0: none, 1: a sharp one */
 } growth;
 
 static const growth styles[] = {
-    { "straight", 0.23, 0.06, 0.30, 0.040, 0.0000, 0.100, 0.010, 0.45 },
-    { "wavy", 0.25, 0.07, 0.35, 0.040, 0.0055, 0.058, 0.014, 0.60 },
-    { "curly", 0.17, 0.08, 0.50, 0.060, 0.0085, 0.036, 0.022, 0.55 },
-    { "short", 0.055, 0.10, 0.45, 0.090, 0.0000, 0.100, 0.007, 0.30 },
-    { "long", 0.40, 0.06, 0.28, 0.035, 0.0035, 0.110, 0.012, 0.55 },
+    { "straight", 0.23, 0.06, 0.30, 0.040, 0.0000, 0.100, 0.010, 0.45, 1.0 },
+    { "wavy", 0.25, 0.07, 0.35, 0.040, 0.0055, 0.058, 0.014, 0.60, 0.9 },
+    { "curly", 0.17, 0.08, 0.50, 0.060, 0.0085, 0.036, 0.022, 0.55, 0.3 },
+    { "short", 0.055, 0.10, 0.45, 0.090, 0.0000, 0.100, 0.007, 0.30, 0.5 },
+    { "long", 0.36, 0.06, 0.28, 0.035, 0.0035, 0.110, 0.012, 0.55, 1.0 },
 };
 
 enum { STYLES = sizeof styles / sizeof *styles };
@@ -34,7 +35,7 @@ typedef struct {
     uint64_t seed;
     int64_t strands, points;    /* of a centre line */
     hg_vec3d *line;             /* [strands,points] */
-    hg_vec3d *normal;           /* [strands] of the scalp at the root */
+    hg_vec3d *normal, *comb;    /* [strands] of the scalp at the root; the way hair is combed there */
     double *length, *clearance; /* [strands] */
     int32_t *lock;              /* [strands] the strand that leads the lock */
     hg_body_tree *tree;
@@ -56,11 +57,10 @@ static hg_vec3d combed(const garden *g, hg_vec3d root, hg_vec3d normal, int64_t 
 {
     hg_vec3d centre = hg_vec3d_load(g->body->scalp_centre), from = hg_vec3d_sub(root, centre);
     const double part = 0.022, crown = -0.035;
-    double z = fmax(from.z, crown), aside = from.x - part;
-    /* On the parting itself, chance says which side. */
-    double side = aside / sqrt(aside * aside + 1e-5), wobble = chance(g, 1, strand) - 0.5;
+    double z = fmax(from.z, crown), wobble = chance(g, 1, strand) - 0.5;
+    double side = from.x - part > 0.004 * (chance(g, 2, strand) - 0.5) ? 1 : -1; /* on the parting, chance says which */
     hg_vec3d way = hg_vec3d_make(from.x - part, 0, from.z - z);
-    way.x += 0.03 * side;
+    way.x = g->style->parting * (way.x + 0.035 * side * scene_ramp(crown - 0.02, crown + 0.03, from.z));
     way.y -= 0.35 * hg_vec3d_norm(from) * fmin(1, fmax(0, 1.2 - from.y / 0.08));
     way.z -= 0.035 * scene_ramp(crown, 0.09, from.z); /* the front goes back, out of the face */
     way = hg_vec3d_add_scaled(way, -hg_vec3d_dot(way, normal), normal);
@@ -101,8 +101,7 @@ static hg_status grow_lines(garden *g, hg_ctx *ctx)
             hg_vec3d *line = g->line + s * g->points, way;
             double step = g->length[s] / (double)(g->points - 1), passed = step * (double)i;
             if (i == 1) {
-                hg_vec3d along = combed(g, line[0], g->normal[s], s);
-                way = hg_vec3d_add(hg_vec3d_scale(g->normal[s], style->lift), hg_vec3d_scale(along, 1 - style->lift));
+                way = hg_vec3d_mix(g->comb[s], g->normal[s], style->lift);
             } else {
                 way = hg_vec3d_normalize(hg_vec3d_sub(line[i - 1], line[i - 2]));
                 way.y -= step / style->bend;
@@ -128,6 +127,22 @@ static hg_status grow_lines(garden *g, hg_ctx *ctx)
         }
     }
     return HG_OK;
+}
+
+/* The first roots are spread over the scalp and lead locks; a strand follows the nearest that is combed the same way, so
+ * that no lock reaches across a parting. */
+static void choose_locks(garden *g)
+{
+    int64_t locks = g->strands / STRANDS_PER_LOCK > 0 ? g->strands / STRANDS_PER_LOCK : 1;
+    for (int64_t s = 0; s < g->strands; s++) {
+        double best = INFINITY;
+        for (int64_t k = 0; k < locks; k++) {
+            double apart = hg_vec3d_distance(g->line[s * g->points], g->line[k * g->points]);
+            if (apart >= best) continue;
+            apart += 0.1 * fmax(0.5 - hg_vec3d_dot(g->comb[s], g->comb[k]), 0);
+            if (apart < best) best = apart, g->lock[s] = (int32_t)k;
+        }
+    }
 }
 
 /* Draws every strand towards the one that leads its lock, more and more towards the tip. */
@@ -194,6 +209,7 @@ static hg_status garden_plant(garden *g, hg_groom *groom)
     size_t n = (size_t)g->strands;
     g->line = hg_alloc(n, (size_t)g->points * sizeof *g->line);
     g->normal = hg_alloc(n, sizeof *g->normal);
+    g->comb = hg_alloc(n, sizeof *g->comb);
     g->length = hg_alloc(n, sizeof *g->length);
     g->clearance = hg_alloc(n, sizeof *g->clearance);
     g->lock = hg_alloc(n, sizeof *g->lock);
@@ -201,24 +217,26 @@ static hg_status garden_plant(garden *g, hg_groom *groom)
     g->contact = hg_alloc(n, 3 * sizeof *g->contact);
     g->contact_normal = hg_alloc(n, 3 * sizeof *g->contact_normal);
     g->triangle = hg_alloc(n, sizeof *g->triangle);
-    if (!g->line || !g->normal || !g->length || !g->clearance || !g->lock || !g->at || !g->contact ||
+    if (!g->line || !g->normal || !g->comb || !g->length || !g->clearance || !g->lock || !g->at || !g->contact ||
         !g->contact_normal || !g->triangle)
         return HG_MEMORY;
     HG_TRY(scene_scatter_roots(body, g->strands, g->seed, groom->root_face, groom->root_bary, g->at));
-    int64_t locks = g->strands / STRANDS_PER_LOCK > 0 ? g->strands / STRANDS_PER_LOCK : 1;
-    scene_nearest_root(g->strands, g->at, locks, g->lock);
     for (int64_t s = 0; s < g->strands; s++) {
         const int32_t *t = body->triangles + 3 * (int64_t)groom->root_face[s];
         hg_vec3d a = scene_point(body->points + 3 * (int64_t)t[0]), b = scene_point(body->points + 3 * (int64_t)t[1]);
         hg_vec3d c = scene_point(body->points + 3 * (int64_t)t[2]);
         g->normal[s] = hg_vec3d_normalize(hg_vec3d_cross(hg_vec3d_sub(b, a), hg_vec3d_sub(c, a)));
         g->line[s * g->points] = scene_point(g->at + 3 * s);
+        g->comb[s] = combed(g, g->line[s * g->points], g->normal[s], s);
         g->triangle[s] = -1;
+        hg_scalp_project(body, g->at + 3 * s, groom->root_uv + 2 * s);
+    }
+    choose_locks(g);
+    for (int64_t s = 0; s < g->strands; s++) {
         double spread =
             hg_random_normal(g->seed, 90, (uint64_t)g->lock[s]) + 0.5 * hg_random_normal(g->seed, 91, (uint64_t)s);
         g->length[s] = g->style->length * fmin(fmax(1 + g->style->variation * spread, 0.6), 1.4);
         g->clearance[s] = g->style->volume * (0.25 + 1.5 * chance(g, 3, s));
-        hg_scalp_project(body, g->at + 3 * s, groom->root_uv + 2 * s);
     }
     return HG_OK;
 }
@@ -266,6 +284,7 @@ static void garden_clear(garden *g)
 {
     hg_free(g->line);
     hg_free(g->normal);
+    hg_free(g->comb);
     hg_free(g->length);
     hg_free(g->clearance);
     hg_free(g->lock);

@@ -158,14 +158,3 @@ hg_status scene_scatter_roots(const hg_body *body, int64_t n, uint64_t seed, int
     hg_free(s.head);
     return status;
 }
-
-void scene_nearest_root(int64_t n, const float *position, int64_t centres, int32_t *centre)
-{
-    for (int64_t i = 0; i < n; i++) {
-        double best = INFINITY;
-        for (int64_t k = 0; k < centres; k++) {
-            double d = hg_vec3d_distance(scene_point(position + 3 * i), scene_point(position + 3 * k));
-            if (d < best) best = d, centre[i] = (int32_t)k;
-        }
-    }
-}

@@ -8,7 +8,4 @@
 hg_status scene_scatter_roots(const hg_body *body, int64_t n, uint64_t seed, int32_t *face, float *bary,
                               float *position);
 
-/* For every point the nearest of the first `centres` ones. */
-void scene_nearest_root(int64_t n, const float *position, int64_t centres, int32_t *centre);
-
 #endif
