@@ -395,32 +395,43 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
     const hg_body_tree *tree = refit->tree;
     const HG_B(node) *root = (const HG_B(node) *)refit->nodes + tree->level_start[tree->levels - 1];
     const hg_real reach = (hg_real)(query->reach < 1e17 ? query->reach : 1e17);
+    const hg_real within = HG_B(tie_bound)(reach * reach);
     int32_t before = -1; /* the last point's triangle: a guess where there is no other */
+    HG_VEC3 free_at = { 0, 0, 0 };
+    hg_real free_radius = 0; /* no triangle is nearer than this to free_at, which is outside */
     for (int64_t i = first; i < last; i++) {
         HG_VEC3 p = HG_V(load)(query->points + 3 * i), zero = { 0, 0, 0 };
         int32_t guess = query->triangle[i] >= 0 && query->triangle[i] < tree->n_faces ? query->triangle[i] : before;
         query->triangle[i] = -1;
-        HG_V(store)(query->contact_point + 3 * i, zero);
-        HG_V(store)(query->contact_normal + 3 * i, zero);
-        if (!HG_V(finite)(p)) continue;
-
-        hg_real bound = (hg_real)HG_BODY_FAR;
-        if (guess >= 0) {
-            bound = HG_B(tie_bound)((hg_real)HG_B(place)(refit, p, guess).distance2);
-            if (!(bound < (hg_real)HG_BODY_FAR)) bound = (hg_real)HG_BODY_FAR;
+        if (!HG_V(finite)(p)) {
+            HG_V(store)(query->contact_point + 3 * i, zero);
+            HG_V(store)(query->contact_normal + 3 * i, zero);
+            continue;
         }
-        _Alignas(64) hg_real distance2[HG_BODY_LANES];
-        HG_B(box_distances)(root, p, distance2);
-        hg_real outside = distance2[0]; /* squared distance to the body's boxes: above reach^2 is outside for sure */
-        for (int l = 1; l < HG_BODY_LANES; l++) outside = distance2[l] < outside ? distance2[l] : outside;
+        /* Along a strand the free ball around the last point often holds this one: then it is outside, too. */
+        hg_real free_here = (free_radius - HG_V(distance)(p, free_at)) * (hg_real)(1.0 - 1e-5);
         int32_t face = -1;
-        if (outside <= reach * reach) {
-            hg_real within = HG_B(tie_bound)(reach * reach);
-            face = HG_B(nearest)(refit, p, within < bound ? within : bound);
-            /* Nothing within reach: outside, or deep inside; the closest triangle knows which. */
-            if (face < 0 && within < bound) face = HG_B(nearest)(refit, p, bound);
-            if (face < 0) face = HG_B(nearest)(refit, p, (hg_real)HG_BODY_FAR);
-            if (face < 0) continue;
+        bool far = free_here > reach + (hg_real)HG_BODY_TIE;
+        if (!far) {
+            hg_real bound = (hg_real)HG_BODY_FAR;
+            if (guess >= 0) {
+                bound = HG_B(tie_bound)((hg_real)HG_B(place)(refit, p, guess).distance2);
+                if (!(bound < (hg_real)HG_BODY_FAR)) bound = (hg_real)HG_BODY_FAR;
+            }
+            if (within < bound) {
+                _Alignas(64) hg_real distance2[HG_BODY_LANES];
+                HG_B(box_distances)(root, p, distance2);
+                hg_real box2 = distance2[0]; /* from p to the body's boxes */
+                for (int l = 1; l < HG_BODY_LANES; l++) box2 = distance2[l] < box2 ? distance2[l] : box2;
+                far = box2 > within;
+                if (!far && free_here > 0) {
+                    face = HG_B(nearest)(refit, p, within);
+                    far = face < 0;
+                }
+                free_here = reach;
+            }
+            if (!far && face < 0) face = HG_B(nearest)(refit, p, bound);
+            if (!far && face < 0) face = HG_B(nearest)(refit, p, (hg_real)HG_BODY_FAR);
         }
         hg_vec3d at = HG_B(widen)(p), normal = { 0.0, 1.0, 0.0 }, point = at;
         if (face >= 0) {
@@ -430,9 +441,13 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
             hg_vec3d own = HG_B(widen)(HG_V(load)((const hg_real *)refit->face_normals + 3 * (int64_t)face));
             normal = hg_body_contact_normal(query->mode, &place, at, own, outward, HG_B(near));
             point = place.point;
+            bool outside = hg_vec3d_dot(outward, hg_vec3d_sub(at, point)) > 0.0;
+            free_here = outside ? (hg_real)(sqrt(place.distance2) - HG_BODY_TIE) : 0;
         } else {
             point.y -= (double)reach;
         }
+        free_at = p;
+        free_radius = free_here;
         query->triangle[i] = face;
         HG_V(store)(query->contact_point + 3 * i, HG_B(narrow)(point));
         HG_V(store)(query->contact_normal + 3 * i, HG_B(narrow)(normal));

@@ -1,7 +1,6 @@
 /* Neighbours: for every point the ascending list of the others within a radius. */
-#include "geometry/geometry.h"
+#include "geometry/scan.h"
 
-#include <math.h>
 #include <string.h>
 
 struct hg_neighbours {
@@ -20,30 +19,32 @@ typedef struct {
 /* Counts the neighbours of the point at `place`, and lists them when list is given. */
 static int32_t find_neighbours(const hg_cells *cells, int64_t place, double radius, int32_t *list)
 {
-    int32_t runs[HG_CELL_RUNS][2], count = 0;
+    int32_t runs[HG_CELL_RUNS][2], hits[HG_SCAN_PIECE + HG_CELL_PAD], count = 0;
+    union {
+        float f[HG_SCAN_PIECE + HG_CELL_PAD];
+        double d[HG_SCAN_PIECE + HG_CELL_PAD];
+    } distance2;
     int n_runs = hg_cells_runs(cells, cells->cell[place], runs);
-    for (int r = 0; r < n_runs; r++) {
-        if (cells->dtype == HG_F32) {
-            const float *x = cells->x, *y = cells->y, *z = cells->z;
-            float px = x[place], py = y[place], pz = z[place], radius2 = (float)(radius * radius);
-            for (int32_t q = runs[r][0]; q < runs[r][1]; q++) {
-                float dx = x[q] - px, dy = y[q] - py, dz = z[q] - pz;
-                if (dx * dx + dy * dy + dz * dz > radius2 || q == place) continue;
-                if (list) list[count] = cells->index[q];
-                count++;
+    for (int r = 0; r < n_runs; r++)
+        for (int32_t first = runs[r][0]; first < runs[r][1]; first += HG_SCAN_PIECE) {
+            int32_t last = runs[r][1] - first < HG_SCAN_PIECE ? runs[r][1] : first + HG_SCAN_PIECE;
+            int n;
+            if (cells->dtype == HG_F32) {
+                const float *x = cells->x, *y = cells->y, *z = cells->z;
+                n = hg_scan_f(x, y, z, first, last, x[place], y[place], z[place], (float)(radius * radius), hits,
+                              distance2.f);
+            } else {
+                const double *x = cells->x, *y = cells->y, *z = cells->z;
+                n = hg_scan_d(x, y, z, first, last, x[place], y[place], z[place], radius * radius, hits, distance2.d);
             }
-        } else {
-            const double *x = cells->x, *y = cells->y, *z = cells->z;
-            double px = x[place], py = y[place], pz = z[place], radius2 = radius * radius;
-            for (int32_t q = runs[r][0]; q < runs[r][1]; q++) {
-                double dx = x[q] - px, dy = y[q] - py, dz = z[q] - pz;
-                if (dx * dx + dy * dy + dz * dz > radius2 || q == place) continue;
-                if (list) list[count] = cells->index[q];
-                count++;
+            if (!list) {
+                count += n;
+                continue;
             }
+            for (int h = 0; h < n; h++)
+                if (hits[h] != place) list[count++] = cells->index[hits[h]];
         }
-    }
-    return count;
+    return list ? count : count - 1; /* the point itself is always found */
 }
 
 static void count_block(const void *args, int64_t first, int64_t last)
@@ -54,21 +55,38 @@ static void count_block(const void *args, int64_t first, int64_t last)
         a->neighbours->start[cells->index[i] + 1] = find_neighbours(cells, i, a->radius, NULL);
 }
 
+enum { RANKED = 128 };
+
+/* Ascending order of different numbers. Few of them are put where the count of smaller ones says: n^2 comparisons, but
+ * sixteen at a time and without a branch. */
+static void sort_list(int32_t *list, int32_t n)
+{
+    if (n <= RANKED) {
+        int32_t sorted[RANKED];
+        for (int32_t i = 0; i < n; i++) {
+            int32_t value = list[i], rank = 0;
+            for (int32_t j = 0; j < n; j++) rank += list[j] < value;
+            sorted[rank] = value;
+        }
+        memcpy(list, sorted, (size_t)n * sizeof *list);
+        return;
+    }
+    static const int32_t gaps[] = { 1750, 701, 301, 132, 57, 23, 10, 4, 1 }; /* Shell's method, Ciura's gaps */
+    for (size_t g = 0; g < sizeof gaps / sizeof *gaps; g++)
+        for (int32_t j = gaps[g]; j < n; j++) {
+            int32_t value = list[j], k = j;
+            for (; k >= gaps[g] && list[k - gaps[g]] > value; k -= gaps[g]) list[k] = list[k - gaps[g]];
+            list[k] = value;
+        }
+}
+
 static void list_block(const void *args, int64_t first, int64_t last)
 {
     const search_args *a = args;
     const hg_cells *cells = &a->neighbours->cells;
     for (int64_t i = first; i < last; i++) {
         int32_t *list = a->neighbours->list + a->neighbours->start[cells->index[i]];
-        int32_t n = find_neighbours(cells, i, a->radius, list);
-        /* Up to 27 ascending pieces: few numbers, so shell sort with the usual gaps does well. */
-        static const int32_t gaps[] = { 1750, 701, 301, 132, 57, 23, 10, 4, 1 };
-        for (size_t g = 0; g < sizeof gaps / sizeof *gaps; g++)
-            for (int32_t j = gaps[g]; j < n; j++) {
-                int32_t value = list[j], k = j;
-                for (; k >= gaps[g] && list[k - gaps[g]] > value; k -= gaps[g]) list[k] = list[k - gaps[g]];
-                list[k] = value;
-            }
+        sort_list(list, find_neighbours(cells, i, a->radius, list));
     }
 }
 

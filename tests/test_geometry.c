@@ -422,6 +422,12 @@ static void test_sign(void **state)
     assert_true(inside > 500 && outside > 500);
 
     /* With a reach: deep inside is still found, far outside may be waved through. */
+    /* Every other strand of 20 is a walk of small steps away from the surface and back. */
+    for (int64_t i = 0; i < N; i++)
+        if (i / 20 % 2 && i % 20)
+            for (int k = 0; k < 3; k++)
+                points[3 * i + k] = points[3 * i - 3 + k] + between(9, (uint64_t)(i / 20 * 3 + k), -0.005, 0.005);
+    query(ctx, tree, HG_F64, &m, HG_CONTACT_EXACT, INFINITY, N, points, &got);
     contacts near = contacts_make(N);
     query(ctx, tree, HG_F64, &m, HG_CONTACT_EXACT, 0.01, N, points, &near);
     int skipped = 0;
