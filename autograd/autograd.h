@@ -61,7 +61,7 @@ typedef struct hg_emitter {
     int (*constant)(void *self, const hg_tensor *tensor);        /* an initialiser */
     int (*constant_f32)(void *self, int rank, const int64_t *shape, const float *data);
     int (*constant_i64)(void *self, int rank, const int64_t *shape, const int64_t *data);
-    int (*node)(void *self, const char *op_type, int n_in, const int *in, const char *attributes_format, ...); /* "axis=i alpha=f perm=I": I takes (int n, const int64_t *) */
+    int (*node)(void *self, const char *op_type, int n_in, const int *in, const char *attributes_format, ...); /* "axis=i alpha=f mode=s perm=I": i takes int64_t, f double, s const char *, I (int n, const int64_t *); "" for none */
     hg_status (*output)(void *self, const hg_tensor *tensor, int value); /* this value stands for that tensor from here on */
 } hg_emitter;
 
@@ -93,6 +93,8 @@ struct hg_op {
 
 /* Runs and records an op; library ops are thin wrappers of this, users' own call it directly. */
 hg_tensor *hg_apply(hg_ctx *ctx, const hg_op *op, int n_in, hg_tensor *const *in, const void *attributes);
+/* For a shape check: "NAME: sentence; inputs f32 [3,4], f32 [5,6]" becomes the context's error. Returns NULL. */
+hg_tensor *hg_refuse(const hg_call *call, const char *format, ...) HG_PRINTF(2, 3);
 /* The recorded calls in order, for export and drawing. */
 int hg_tape_count(const hg_ctx *ctx);
 const hg_call *hg_tape_call(const hg_ctx *ctx, int i);
@@ -167,16 +169,52 @@ hg_tensor *hg_place(hg_ctx *ctx, hg_tensor *d, hg_tensor *rest, hg_tensor *rotat
 /* The caller's file and line in every message. */
 #ifndef HG_NO_CALLER
 #define HG_HERE(ctx) hg_at((ctx), __FILE__, __LINE__)
+#define hg_backward(ctx, ...) (hg_backward)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_backward_seeded(ctx, ...) (hg_backward_seeded)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_detach(ctx, ...) (hg_detach)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_apply(ctx, ...) (hg_apply)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_gradcheck(ctx, ...) (hg_gradcheck)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_gradcheck_op(ctx, ...) (hg_gradcheck_op)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_add(ctx, ...) (hg_add)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_sub(ctx, ...) (hg_sub)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_mul(ctx, ...) (hg_mul)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_div(ctx, ...) (hg_div)(HG_HERE(ctx), __VA_ARGS__)
-#define hg_matmul(ctx, ...) (hg_matmul)(HG_HERE(ctx), __VA_ARGS__)
-#define hg_linear(ctx, ...) (hg_linear)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_minimum(ctx, ...) (hg_minimum)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_maximum(ctx, ...) (hg_maximum)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_scale(ctx, ...) (hg_scale)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_square(ctx, ...) (hg_square)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_sqrt(ctx, ...) (hg_sqrt)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_exp(ctx, ...) (hg_exp)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_log(ctx, ...) (hg_log)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_abs(ctx, ...) (hg_abs)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_clamp(ctx, ...) (hg_clamp)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_activate(ctx, ...) (hg_activate)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_cast(ctx, ...) (hg_cast)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_sum(ctx, ...) (hg_sum)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_mean(ctx, ...) (hg_mean)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_sum_axis(ctx, ...) (hg_sum_axis)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_mean_axis(ctx, ...) (hg_mean_axis)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_reshape(ctx, ...) (hg_reshape)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_permute(ctx, ...) (hg_permute)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_concat(ctx, ...) (hg_concat)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_slice(ctx, ...) (hg_slice)(HG_HERE(ctx), __VA_ARGS__)
-#define hg_reshape(ctx, ...) (hg_reshape)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_pad(ctx, ...) (hg_pad)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_gather(ctx, ...) (hg_gather)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_scatter_add(ctx, ...) (hg_scatter_add)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_matmul(ctx, ...) (hg_matmul)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_linear(ctx, ...) (hg_linear)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_linear_pair(ctx, ...) (hg_linear_pair)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_softmax(ctx, ...) (hg_softmax)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_layer_norm(ctx, ...) (hg_layer_norm)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_group_norm(ctx, ...) (hg_group_norm)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_dot(ctx, ...) (hg_dot)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_norm(ctx, ...) (hg_norm)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_normalize(ctx, ...) (hg_normalize)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_cross(ctx, ...) (hg_cross)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_quat_mul(ctx, ...) (hg_quat_mul)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_quat_conjugate(ctx, ...) (hg_quat_conjugate)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_quat_rotate(ctx, ...) (hg_quat_rotate)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_transport(ctx, ...) (hg_transport)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_place(ctx, ...) (hg_place)(HG_HERE(ctx), __VA_ARGS__)
 #endif
 

@@ -1,0 +1,143 @@
+/* place: how a network's output becomes hair. x = p + R (rest + d - rest_root); the root lies at p whatever d is.
+ * The gradient goes to d alone; rest, rotation and position are data. */
+#include "autograd/floats.h"
+#include "autograd/tape.h"
+
+typedef struct {
+    hg_dtype dtype;
+    int64_t strands, vertices;
+    bool shared_rest, fresh;
+    const void *d, *rest, *rotation, *position, *g;
+    void *x, *dd;
+} place_args;
+
+#define REAL   float
+#define SUFFIX _f32
+#include "autograd/place.inc"
+#undef REAL
+#undef SUFFIX
+#define REAL   double
+#define SUFFIX _f64
+#include "autograd/place.inc"
+#undef REAL
+#undef SUFFIX
+
+static void place_forward_cpu(const void *memory, int64_t first, int64_t last)
+{
+    const place_args *p = memory;
+    (p->dtype == HG_F32 ? place_forward_f32 : place_forward_f64)(p, first, last);
+}
+
+static void place_backward_cpu(const void *memory, int64_t first, int64_t last)
+{
+    const place_args *p = memory;
+    (p->dtype == HG_F32 ? place_backward_f32 : place_backward_f64)(p, first, last);
+}
+
+static bool has_shape(const hg_tensor *tensor, int rank, const int64_t *shape)
+{
+    if (tensor->rank != rank) return false;
+    for (int i = 0; i < rank; i++)
+        if (tensor->shape[i] != shape[i]) return false;
+    return true;
+}
+
+static hg_tensor *place_shape(hg_call *call)
+{
+    const hg_tensor *d = call->in[0], *rest = call->in[1], *rotation = call->in[2], *position = call->in[3];
+    if (!hg_floats_agree(call)) return NULL;
+    if (d->rank != 4 || d->shape[3] != 3) return hg_refuse(call, "d has to be [B,S,V-1,3]");
+    int64_t b = d->shape[0], s = d->shape[1], v = d->shape[2] + 1;
+    if (!has_shape(rest, 3, (int64_t[]){ s, v, 3 }) && !has_shape(rest, 4, (int64_t[]){ b, s, v, 3 }))
+        return hg_refuse(call, "for d [B,S,V-1,3] rest has to be [S,V,3] or [B,S,V,3]");
+    if (!has_shape(rotation, 3, (int64_t[]){ b, s, 4 }) || !has_shape(position, 3, (int64_t[]){ b, s, 3 }))
+        return hg_refuse(call, "for d [B,S,V-1,3] rotation has to be [B,S,4] and position [B,S,3]");
+    for (int i = 1; i < 4; i++)
+        if (hg_call_recorded(call) && hg_needs_grad(call->in[i]))
+            return hg_refuse(call, "only d has a gradient here; detach rest, rotation and position");
+    return hg_out(call, d->dtype, 4, (int64_t[]){ b, s, v, 3 });
+}
+
+static place_args place_arguments(const hg_call *call)
+{
+    const hg_tensor *x = call->out, *rest = call->in[1];
+    return (place_args){ .dtype = x->dtype,
+                         .strands = x->shape[1],
+                         .vertices = x->shape[2],
+                         .shared_rest = rest->rank == 3,
+                         .d = call->in[0]->data,
+                         .rest = rest->data,
+                         .rotation = call->in[2]->data,
+                         .position = call->in[3]->data,
+                         .x = x->data };
+}
+
+static hg_status place_forward(hg_call *call)
+{
+    static const hg_kernel kernel = {
+        .name = "place", .args_size = sizeof(place_args), .cpu = place_forward_cpu, .block = 64
+    };
+    place_args args = place_arguments(call);
+    return hg_launch(call->ctx, &kernel, call->out->shape[0] * call->out->shape[1], &args);
+}
+
+static hg_status place_backward(hg_call *call)
+{
+    static const hg_kernel kernel = {
+        .name = "place", .args_size = sizeof(place_args), .cpu = place_backward_cpu, .block = 64
+    };
+    place_args args = place_arguments(call);
+    args.g = hg_grad(call->out)->data;
+    args.dd = hg_grad_data(call->in[0], &args.fresh);
+    return hg_launch(call->ctx, &kernel, call->out->shape[0] * call->out->shape[1], &args);
+}
+
+/* v + 2 w (u x v) + 2 u x (u x v), for a quaternion (w, u) of length one. */
+static void rotate(const double q[4], const double v[3], double out[3])
+{
+    const double *u = q + 1;
+    double a[3] = { u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0] };
+    double b[3] = { u[1] * a[2] - u[2] * a[1], u[2] * a[0] - u[0] * a[2], u[0] * a[1] - u[1] * a[0] };
+    for (int k = 0; k < 3; k++) out[k] = v[k] + 2 * q[0] * a[k] + 2 * b[k];
+}
+
+static void place_reference(const hg_call *call, double *out)
+{
+    const hg_tensor *x = call->out, *d = call->in[0], *rest = call->in[1];
+    int64_t strands = x->shape[1], vertices = x->shape[2];
+    for (int64_t i = 0; i < x->shape[0] * strands; i++)
+        for (int64_t v = 0; v < vertices; v++, out += 3) {
+            int64_t at = (rest->rank == 3 ? i % strands : i) * vertices;
+            double q[4], e[3];
+            for (int k = 0; k < 4; k++) q[k] = hg_tensor_item(call->in[2], i * 4 + k);
+            for (int k = 0; k < 3; k++)
+                e[k] = hg_tensor_item(rest, (at + v) * 3 + k) - hg_tensor_item(rest, at * 3 + k) +
+                       (v ? hg_tensor_item(d, (i * (vertices - 1) + v - 1) * 3 + k) : 0);
+            rotate(q, e, out);
+            for (int k = 0; k < 3; k++) out[k] += hg_tensor_item(call->in[3], i * 3 + k);
+        }
+}
+
+static const double unit_quaternions[] = { 0.5, 0.5, -0.5, 0.5, 0.6, 0, 0.8, 0, 1, 0, 0, 0, 0.36, 0.48, -0.8, 0 };
+#define PLACE(label_, b_, s_, v_, rest_rank_, ...)                                                                     \
+    {                                                                                                                  \
+        .label = label_, .n_in = 4, .in = {                                                                            \
+            { 4, { b_, s_, v_ - 1, 3 } },                                                                              \
+            { rest_rank_, { __VA_ARGS__ }, .no_grad = true },                                                          \
+            { 3, { b_, s_, 4 }, .no_grad = true, .values = unit_quaternions },                                         \
+            { 3, { b_, s_, 3 }, .no_grad = true }                                                                      \
+        }                                                                                                              \
+    }
+static const hg_sample place_samples[] = {
+    PLACE("shared rest", 2, 2, 4, 3, 2, 4, 3), PLACE("rest per frame", 2, 2, 3, 4, 2, 2, 3, 3),
+    PLACE("one edge", 1, 1, 2, 3, 1, 2, 3),    PLACE("roots only", 1, 2, 1, 3, 2, 1, 3),
+    PLACE("no strands", 1, 0, 4, 3, 0, 4, 3),
+};
+HG_OP(place, .formula = "x = p + R (rest + d - rest_root)", .min_in = 4, .max_in = 4, .shape = place_shape,
+      .forward = place_forward, .backward = place_backward, .samples = place_samples,
+      .n_samples = sizeof place_samples / sizeof *place_samples, .reference = place_reference);
+
+hg_tensor *hg_place(hg_ctx *ctx, hg_tensor *d, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position)
+{
+    return hg_apply(ctx, &op_place, 4, (hg_tensor *[]){ d, rest, rotation, position }, NULL);
+}
