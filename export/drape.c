@@ -60,8 +60,10 @@ static hg_status begin(hg_drape_file *file, const hg_drape_frame *frame)
     if (!file->body_path || !file->body) return HG_OK;
     const char *slash = strrchr(file->body_path, '/');
     HG_TRY(hg_vtkhdf_set_text(file->strands, "body", slash ? slash + 1 : file->body_path));
-    return hg_vtkhdf_create_mesh(&file->mesh, file->body_path, file->frames, file->body->vertices, file->body->faces,
-                                 file->body->triangles, file->rate);
+    HG_TRY(hg_vtkhdf_create_mesh(&file->mesh, file->body_path, file->frames, file->body->vertices, file->body->faces,
+                                 file->body->triangles, file->rate));
+    return hg_vtkhdf_write_extra(file->mesh, "rest", HG_F32, 2, (int64_t[]){ file->body->vertices, 3 },
+                                 file->body->points);
 }
 
 hg_status hg_drape_file_add(void *self, const hg_drape_frame *frame)

@@ -76,9 +76,28 @@ typedef struct {
 } hg_view;
 /* Anti-aliased, with depth: shaded body, strands with Kajiya-Kay shading and depth-based occlusion. */
 hg_status hg_render(hg_ctx *ctx, hg_image *image, int x, int y, int width, int height, const hg_view *view);
-/* Line plot: curves of n points each; for tip paths and learning curves. */
+/* Line plot: curves of n points each; for tip paths and learning curves. One point is a dot; a curve without a name has
+ * the colour of the named one before it. */
 typedef struct { const char *name; int64_t n; const double *x, *y; } hg_curve;
 hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const char *title, const char *x_label, const char *y_label, int n, const hg_curve *curves, bool equal_axes);
+
+/* ---- pictures of files -------------------------------------------------------------------------------------- */
+
+/* A contact sheet of a drape (.vtkhdf), of a posed scene (`hairgrad pose`, .h5) or of a groom (.h5). The camera goes
+ * with the head and its heading, at one scale. With `compare`, a row is a frame and its columns are the rest groom, the
+ * rigidly posed one and the drape. */
+typedef struct {
+    const char *body;                    /* body.vtkhdf or body.h5; NULL: the one that a drape names, else none */
+    int n_frames; const int64_t *frames; /* none: six spread over the clip (three with compare) */
+    const char *view;                    /* "front", "side", "back", "three_quarter" (NULL) */
+    int width, height;                   /* of one picture; 0: 480 x 560 */
+    bool compare;
+    double hair_width;                   /* m; 0: by the number of strands */
+} hg_sheet_options;
+hg_status hg_sheet_draw(hg_ctx *ctx, hg_image **sheet, const char *path, const hg_sheet_options *options, const hg_progress *progress);
+/* Do tips lag and swing? Paths of a few tips in the head's frame, from above, beside the same over time under the head's
+ * turning; rigidly posed tips stand still there. */
+hg_status hg_tips_draw(hg_image **picture, const char *path, int width, int height);
 
 #ifdef __cplusplus
 }

@@ -66,8 +66,7 @@ static hg_status describe_hair(const hg_hair_task *task, description *d)
     describe(d, "groom", hg_strdup(groom->name ? groom->name : ""));
     describe(d, "groom_hash", hg_format("%016llx", (unsigned long long)hg_groom_hash(groom)));
     describe(d, "body_hash", hg_format("%016llx", (unsigned long long)hg_body_hash(body)));
-    const hg_motion *clip = hg_hair_clips(task, false) > 0 ? hg_hair_clip(task, false, 0) : NULL;
-    describe(d, "dt", hg_format("%.9g", clip && clip->rate > 0.0 ? 1.0 / clip->rate : 1.0 / 30.0));
+    describe(d, "dt", hg_format("%.9g", 1.0 / hg_hair_rate(task)));
     describe(d, "hairgrad_version", hg_strdup(HG_VERSION));
     if (!d->failed) return HG_OK;
     description_free(d);

@@ -76,6 +76,14 @@ typedef struct {
     range x, y;
 } field;
 
+/* A curve without a name has the colour of the named one before it. */
+static const uint8_t *colour_of(const hg_curve *curves, int c)
+{
+    int number = -1;
+    for (int i = 0; i <= c; i++) number += curves[i].name && curves[i].name[0];
+    return curve_colour[number < 0 ? 0 : number % 8];
+}
+
 static double across(const field *f, double x) { return f->left + (x - f->x.low) / (f->x.high - f->x.low) * f->width; }
 
 static double down(const field *f, double y)
@@ -161,7 +169,7 @@ static void draw_legend(hg_image *image, const field *f, int scale, int n, const
         if (!curves[c].name || !curves[c].name[0]) continue;
         int top = y + 4 * scale + line * row++;
         double middle = top + 3.5 * scale;
-        hg_draw_line(image, x + 4 * scale, middle, x + 15 * scale, middle, 1.6 * scale, curve_colour[c % 8]);
+        hg_draw_line(image, x + 4 * scale, middle, x + 15 * scale, middle, 1.6 * scale, colour_of(curves, c));
         hg_image_text(image, x + 20 * scale, top, scale, ink, curves[c].name);
     }
 }
@@ -189,7 +197,7 @@ hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const ch
     if (equal_axes) equalise(&f);
     hg_draw_rectangle(image, x, y, width, height, paper, 1.0f);
     draw_axes(image, &f, scale);
-    for (int c = 0; c < n; c++) draw_curve(image, &f, &curves[c], scale, curve_colour[c % 8]);
+    for (int c = 0; c < n; c++) draw_curve(image, &f, &curves[c], scale, colour_of(curves, c));
     draw_legend(image, &f, scale, n, curves);
     if (title) hg_image_text(image, x + (width - hg_text_width(title, scale)) / 2, y + 6 * scale, scale, ink, title);
     if (x_label)
