@@ -4,21 +4,61 @@
 #include <stdlib.h>
 #include <string.h>
 
-hg_status cli_shape(const hg_arguments *arguments, double shape[HG_SHAPES], bool *given)
+static hg_status unknown_shape(const hg_body *body, const char *name, int length)
 {
-    const char *text = cli_value(arguments, "shape", NULL);
-    memset(shape, 0, HG_SHAPES * sizeof *shape);
-    *given = text != NULL;
-    for (int k = 0; text && *text; k++) {
+    hg_text known = { 0 };
+    char *given = hg_format("%.*s", length, name);
+    const char *nearest = given ? hg_nearest_of(given, (const char *const *)body->shape_name, HG_SHAPES) : NULL;
+    for (int k = 0; k < HG_SHAPES; k++) hg_text_add(&known, "%s%s", k ? ", " : "", body->shape_name[k]);
+    hg_fail(HG_INVALID, "the body has no shape \"%.*s\"%s%s%s; it has %s", length, name,
+            nearest ? " (did you mean " : "", nearest ? nearest : "", nearest ? "?)" : "",
+            known.data ? known.data : "none");
+    hg_text_free(&known);
+    hg_free(given);
+    return HG_INVALID;
+}
+
+/* One --shape: items between commas, a number for the next shape or NAME=number. */
+static hg_status read_shapes(const char *text, const hg_body *body, double shape[HG_SHAPES])
+{
+    const char *at = text;
+    for (int next = 0; *at;) {
+        const size_t length = strcspn(at, ",=");
+        int k = next;
+        if (body && at[length] == '=') {
+            for (k = 0; k < HG_SHAPES; k++)
+                if (strlen(body->shape_name[k]) == length && !strncmp(body->shape_name[k], at, length)) break;
+            if (k == HG_SHAPES) return unknown_shape(body, at, (int)length);
+            at += length + 1;
+        } else {
+            next++;
+        }
         char *end;
-        const double value = strtod(text, &end);
-        if (k == HG_SHAPES || end == text || (*end && *end != ',') || !(value >= -10 && value <= 10))
-            return hg_fail(HG_INVALID, "--shape %s: expected up to %d numbers between -10 and 10, like 0.5,0,-1",
-                           cli_value(arguments, "shape", ""), HG_SHAPES);
+        const double value = strtod(at, &end);
+        if (k == HG_SHAPES || end == at || (*end && *end != ',') || !(value >= -10 && value <= 10))
+            return hg_fail(HG_INVALID, "--shape %s: expected up to %d numbers between -10 and 10, like 0.5,0,-1%s",
+                           text, HG_SHAPES, body ? ", or NAME=number" : "");
         shape[k] = value;
-        text = *end ? end + 1 : end;
+        at = *end ? end + 1 : end;
     }
     return HG_OK;
+}
+
+hg_status cli_shape_of(const hg_arguments *arguments, const hg_body *body, double shape[HG_SHAPES], bool *given)
+{
+    memset(shape, 0, HG_SHAPES * sizeof *shape);
+    *given = false;
+    for (int i = 0; i < arguments->n_given; i++) {
+        if (strcmp(arguments->given[i].name, "shape") != 0) continue;
+        HG_TRY(read_shapes(arguments->given[i].value, body, shape));
+        *given = true;
+    }
+    return HG_OK;
+}
+
+hg_status cli_shape(const hg_arguments *arguments, double shape[HG_SHAPES], bool *given)
+{
+    return cli_shape_of(arguments, NULL, shape, given);
 }
 
 static const char *last_part(const char *path)

@@ -6,6 +6,8 @@
 
 /* "0.5,0,-1": up to ten numbers, the rest 0; absent: false in *given and all 0. */
 hg_status cli_shape(const hg_arguments *arguments, double shape[HG_SHAPES], bool *given);
+/* With a body also by name, several times and mixed: "head_width=0.5,neck_length=-1". */
+hg_status cli_shape_of(const hg_arguments *arguments, const hg_body *body, double shape[HG_SHAPES], bool *given);
 /* The clip of a run whose name, or the last part of it, is `name`. NULL and a message that lists those there are. */
 const hg_motion *cli_clip(const hg_hair_task *task, const char *name);
 

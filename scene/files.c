@@ -1,6 +1,8 @@
 /* What every file of scene/ has in common: its kind, unit and up axis, and checks of what it says. */
 #include "scene/internal.h"
 
+#include <inttypes.h>
+#include <stdio.h>
 #include <string.h>
 
 hg_status scene_check_finite(const char *path, const char *what, const float *data, int64_t rows, int64_t columns)
@@ -86,6 +88,13 @@ hg_status scene_format_write(hg_h5 *file, const char *format)
 {
     HG_TRY(hg_h5_set_text(file, "/", "format", format));
     return hg_h5_set_number(file, "/", "version", 1);
+}
+
+hg_status scene_hash_write(hg_h5 *file, const char *name, uint64_t hash)
+{
+    char text[17];
+    snprintf(text, sizeof text, "%016" PRIx64, hash);
+    return hg_h5_set_text(file, "/", name, text);
 }
 
 hg_status scene_text_or(hg_h5 *file, const char *name, const char *otherwise, char **text)

@@ -131,12 +131,10 @@ hg_status hg_groom_load(hg_groom **groom, const char *path)
 
 static hg_status groom_write(hg_h5 *file, const hg_groom *g)
 {
-    char hash[17] = "0";
-    for (int i = 0; i < 16 && g->body_hash; i++) hash[i] = "0123456789abcdef"[(g->body_hash >> (60 - 4 * i)) & 15];
     HG_TRY(scene_format_write(file, GROOM_FORMAT));
     HG_TRY(scene_axes_write(file));
     HG_TRY(hg_h5_set_text(file, "/", "name", g->name ? g->name : ""));
-    HG_TRY(hg_h5_set_text(file, "/", "body_hash", hash));
+    HG_TRY(scene_hash_write(file, "body_hash", g->body_hash));
     HG_TRY(hg_h5_write(file, "/strands", HG_F32, 3, (int64_t[]){ g->strands, g->vertices, 3 }, g->points));
     HG_TRY(hg_h5_write(file, "/root_face", HG_I32, 1, (int64_t[]){ g->strands }, g->root_face));
     HG_TRY(hg_h5_write(file, "/root_barycentric", HG_F32, 2, (int64_t[]){ g->strands, 3 }, g->root_bary));

@@ -30,6 +30,8 @@ void scene_axes_turn(const scene_axes *axes, float *quaternions,
 hg_status scene_format_check(hg_h5 *file, const char *path, const char *expected);
 hg_status scene_format_write(hg_h5 *file, const char *format);
 
+hg_status scene_hash_write(hg_h5 *file, const char *name, uint64_t hash); /* as hexadecimal text */
+
 /* A text attribute, or a copy of `otherwise` when the file has none. */
 hg_status scene_text_or(hg_h5 *file, const char *name, const char *otherwise, char **text);
 

@@ -3,10 +3,14 @@
  * World: metres, +Y up, face +Z, +X the character's left. A groom lives in the rest space of its body: the neutral body
  * at rest. Posing gives every root the rigid frame of its scalp triangle.
  *
- *     hg_body *body; hg_groom *groom; hg_motion *motion;
- *     hg_body_load(&body, "body.h5"); hg_groom_load(&groom, "groom.h5"); hg_motion_load(&motion, "walk.h5", body);
- *     hg_pose_frame(body, shape, motion, 12.0, vertices, joints);                       the body at frame 12
- *     hg_pose_roots(body, groom, vertices, NULL, 0, rotation, position);                its strands' root frames
+ *     hg_body *body; hg_groom *groom; hg_motion *motion; hg_poser *poser;
+ *     hg_bust_create(&body);                                                  or hg_body_load(&body, "body.h5")
+ *     hg_groom_grow(ctx, &groom, body, "wavy", 3000, 25, seed);               or hg_groom_load(&groom, "groom.h5")
+ *     hg_motion_make(&motion, body, "shake", 5.0, 30.0, seed);                or hg_motion_load(&motion, "clip.h5", body)
+ *     hg_poser_create(&poser, body, false);
+ *     hg_pose(ctx, poser, shape, motion, 12, vertices, joints, NULL);         the body at frame 12
+ *     hg_pose_roots(ctx, poser, groom, NULL, 0, vertices, rotation, position);                 its strands' root frames
+ *     hg_pose_strands(ctx, groom->strands, groom->vertices, groom->points, rotation, position, x);  the groom, rigidly
  *
  * HDF5 layouts stand in docs/formats.md. Rotations are quaternions (w,x,y,z); local ones are relative to the parent,
  * about world-parallel axes at rest.
@@ -111,6 +115,11 @@ hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groo
                         const float *vertices, float *rotation, float *position);
 /* x = p + R (rest - rest_root) */
 void hg_pose_strands(hg_ctx *ctx, int64_t strands, int64_t vertices, const float *rest, const float *rotation, const float *position, float *x);
+
+/* A posed scene as a file, frame by frame: body_vertices [T,N,3] in the mesh's own order, joints [T,J,3], root_rotation
+ * [T,S,4], root_position [T,S,3], strands [T,S,V,3]. groom NULL: only the body. frames 0: to the end of the clip. */
+typedef struct { const hg_body *body; const hg_groom *groom; const hg_motion *motion; const double *shape /* [HG_SHAPES] or NULL */; int64_t first, frames; } hg_posed_scene;
+hg_status hg_posed_scene_write(hg_ctx *ctx, const hg_posed_scene *scene, const char *path, const hg_progress *progress);
 
 /* ---- fitting ------------------------------------------------------------------------------------------------ */
 
