@@ -34,5 +34,25 @@ double hg_term_param(const hg_term *term, const char *name);
 const char *hg_term_option(const hg_term *term, const char *name);
 /* Attribute [G,S,V] of the groom data, NULL when absent. */
 const double *hg_groom_attribute_find(const hg_groom_data *data, const char *name);
+/* Params and options of a term with the defaults filled in; a wrong choice is an error. */
+hg_status hg_term_complete(const hg_term *term, double params[HG_ENERGY_PARAMS],
+                           const char *options[HG_ENERGY_OPTIONS]);
+
+/* ---- the strand pass (physics_strand.c) ---------------------------------------------------------------------- */
+
+typedef struct hg_strand_pass hg_strand_pass;
+
+/* terms: completed, all of site kind window; column[i]: number of term i in the physics. The data must outlive it. */
+hg_status hg_strand_pass_create(hg_strand_pass **pass, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms,
+                                const int32_t *column, const hg_groom_data *data, bool posed_given, bool hoist);
+void hg_strand_pass_destroy(hg_strand_pass *pass);
+hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend);
+const char *hg_strand_pass_backend_name(const hg_strand_pass *pass);
+uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
+/* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient is SET (NULL: not wanted).
+ * unweighted[column[i]] and per_strand[.. * stride + column[i]] are set. */
+hg_status hg_strand_pass_run(hg_strand_pass *pass, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
+                             const void *contact_point, const void *contact_normal, void *gradient, double *unweighted,
+                             double *per_strand, int64_t stride);
 
 #endif

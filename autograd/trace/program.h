@@ -1,7 +1,7 @@
 /* program (private to autograd/trace and hairloss): what becomes of a traced formula.
  *
  *   hg_graph      the recorded scalars: nodes in topological order, folded and shared (graph.c)
- *   hg_list       instructions for one place (a site, a strand, a lane of gathered values), in order (lower.c)
+ *   hg_code       instructions for one place (a site, a strand, a lane of gathered values), in order (lower.c)
  *   hg_function   a list over lanes of gathered inputs: values and derivatives (interpreter.c). What pairs and fields use:
  *
  *     const hg_trace_scope scope = { .name = "self_collision", .allowed = HG_ALLOW_FIELD_KERNEL,
@@ -99,8 +99,9 @@ void hg_function_destroy(hg_function *function);
  * is). out[j]: [n], NULL where not wanted. Thread-safe, allocates nothing; every lane is independent of n. */
 void hg_function_run(const hg_function *function, hg_dtype dtype, int64_t n, const void *const *in,
                      const double *uniform, void *const *out);
-/* Attributes and inputs that a formula asks for, to know what to bring: a mask of HG_ALLOW(kind). */
+/* What a formula asks for, to know what to bring: a mask of HG_ALLOW(kind), and the names of its groom attributes (at
+ * most 8; each is the caller's, freed with hg_free). */
 hg_status hg_formula_inputs(hg_scalar (*formula)(void), const hg_trace_scope *scope, uint32_t *kinds, int *n_attributes,
-                            const char **attributes /* [8] */);
+                            char *attributes[8]);
 
 #endif

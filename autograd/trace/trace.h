@@ -84,7 +84,42 @@ hg_scalar hg_trace_max(hg_scalar a, hg_scalar b);
 hg_scalar hg_trace_less(hg_scalar a, hg_scalar b);               /* 1 or 0, no derivative */
 hg_scalar hg_trace_select(hg_scalar condition, hg_scalar a, hg_scalar b);
 hg_scalar hg_trace_detach(hg_scalar a);                          /* its value, no derivative */
-/* vec3 and quaternions are compositions of these: hg_trace_vec3_*, hg_trace_quat_* (see names.h for the vocabulary) */
+
+/* Vectors */
+hg_scalar hg_trace_square(hg_scalar a);
+hg_scalar hg_trace_clamp(hg_scalar a, hg_scalar low, hg_scalar high);
+hg_vec3   hg_trace_vec3_add(hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_sub(hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_neg(hg_vec3 a);
+hg_vec3   hg_trace_vec3_scale(hg_vec3 a, hg_scalar s);
+hg_vec3   hg_trace_vec3_div(hg_vec3 a, hg_scalar s);
+hg_scalar hg_trace_vec3_dot(hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_cross(hg_vec3 a, hg_vec3 b);
+hg_scalar hg_trace_vec3_square(hg_vec3 a);                       /* a.a */
+hg_scalar hg_trace_vec3_norm(hg_vec3 a);                         /* gradient of zero is zero */
+hg_vec3   hg_trace_vec3_normalize(hg_vec3 a);                    /* zero stays zero, with gradient zero */
+hg_vec3   hg_trace_vec3_min(hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_max(hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_select(hg_scalar condition, hg_vec3 a, hg_vec3 b);
+hg_vec3   hg_trace_vec3_detach(hg_vec3 a);
+hg_scalar hg_trace_rest_length(hg_vec3 a, hg_vec3 b);            /* max(|b - a|, 1e-6 m): safe to divide by */
+hg_vec3   hg_trace_tangent(hg_vec3 a, hg_vec3 b, hg_scalar l0);  /* e / sqrt(max(e.e, (1e-3 l0)^2)), e = b - a */
+
+/* Quaternions (w, x, y, z), Hamilton */
+hg_quat   hg_trace_quat_add(hg_quat a, hg_quat b);
+hg_quat   hg_trace_quat_sub(hg_quat a, hg_quat b);
+hg_quat   hg_trace_quat_neg(hg_quat a);
+hg_quat   hg_trace_quat_scale(hg_quat a, hg_scalar s);
+hg_scalar hg_trace_quat_dot(hg_quat a, hg_quat b);
+hg_scalar hg_trace_quat_square(hg_quat a);
+hg_scalar hg_trace_quat_norm(hg_quat a);
+hg_quat   hg_trace_quat_normalize(hg_quat a);                    /* zero stays zero */
+hg_quat   hg_trace_quat_conj(hg_quat a);
+hg_quat   hg_trace_quat_mul(hg_quat a, hg_quat b);
+hg_vec3   hg_trace_quat_rotate(hg_quat q, hg_vec3 v);            /* q v conj(q) */
+hg_quat   hg_trace_quat_select(hg_scalar condition, hg_quat a, hg_quat b);
+hg_quat   hg_trace_quat_detach(hg_quat a);
+hg_quat   hg_trace_transport(hg_vec3 a, hg_vec3 b);              /* smallest rotation a -> b of unit vectors: (a.h, a x h), h = (a+b)/sqrt(max(|a+b|^2, 1e-4)) */
 
 #ifdef __cplusplus
 }

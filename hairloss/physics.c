@@ -1,0 +1,442 @@
+/* Physics: a weighted set of energies over one or more grooms. Window energies are one strand pass, contact is found
+ * before it, pairs and fields have passes of their own after it. On the tape it is one op: value and gradient are made
+ * together, and backward only scales what was made. */
+#include "hairloss/physics.h"
+
+#include "autograd/trace/graph.h"
+
+#include <math.h>
+#include <string.h>
+
+typedef struct {
+    const hg_physics_pass *kind;
+    void *self;
+    int term;
+} other_pass;
+
+struct hg_physics {
+    hg_ctx *ctx;
+    hg_dtype dtype;
+    int n;
+    hg_term *terms; /* completed: their params and options are the arrays below */
+    double (*params)[HG_ENERGY_PARAMS];
+    const char *(*options)[HG_ENERGY_OPTIONS];
+    hg_groom_data data; /* own copies */
+    hg_groom_attribute *attributes;
+
+    hg_strand_pass *strands[2]; /* posed made in the kernel; posed given by the frame (made when first met) */
+    hg_term *window_terms;      /* by name, so that the order in a config does not matter */
+    int32_t *window_column;
+    int n_window;
+    bool wants_posed;
+    hg_backend backend;
+
+    other_pass *others;
+    int n_others;
+
+    int contact; /* term that asks for it, -1: none */
+    hg_contact_mode mode;
+    double reach;
+    hg_body_refit **refits; /* one per frame of the batch */
+    int32_t *triangles;     /* [B,S,V] the last closest triangles: guesses for the next call */
+    int64_t frames;         /* how many the two have room for */
+    double *sums;           /* [n] */
+};
+
+int hg_physics_terms(const hg_physics *physics) { return physics->n; }
+
+const hg_term *hg_physics_term(const hg_physics *physics, int i)
+{
+    return i >= 0 && i < physics->n ? &physics->terms[i] : NULL;
+}
+
+/* ---- creation ----------------------------------------------------------------------------------------------- */
+
+static double *copy_checked(const double *from, size_t n, const char *what, bool not_negative, hg_status *status)
+{
+    double *to = *status == HG_OK ? hg_alloc(n + 1, sizeof *to) : NULL;
+    if (*status == HG_OK && !to) *status = HG_MEMORY;
+    for (size_t i = 0; to && i < n; i++) {
+        to[i] = from[i];
+        if (!isfinite(from[i]) || (not_negative && from[i] < 0)) {
+            *status = hg_fail(HG_NUMERIC, "the %s of the groom is %g at number %zu: it has to be finite%s", what,
+                              from[i], i, not_negative ? " and not negative" : "");
+            break;
+        }
+    }
+    return to;
+}
+
+static hg_status copy_data(hg_physics *p, const hg_groom_data *data)
+{
+    const size_t vertices = (size_t)(data->grooms * data->strands * data->vertices);
+    hg_status status = HG_OK;
+    p->data = *data;
+    p->data.attributes = NULL;
+    p->data.mass = NULL;
+    p->data.rest = copy_checked(data->rest, 3 * vertices, "rest position", false, &status);
+    if (data->mass) {
+        p->data.mass = copy_checked(data->mass, vertices, "mass", true, &status);
+    } else {
+        double *ones = hg_alloc(vertices + 1, sizeof *ones);
+        if (!ones) status = HG_MEMORY;
+        for (size_t i = 0; ones && i < vertices; i++) ones[i] = 1;
+        p->data.mass = ones;
+    }
+    p->attributes = hg_alloc((size_t)data->n_attributes + 1, sizeof *p->attributes);
+    if (!p->attributes) status = HG_MEMORY;
+    p->data.attributes = p->attributes;
+    p->data.n_attributes = 0;
+    for (int i = 0; status == HG_OK && i < data->n_attributes; i++) {
+        const hg_groom_attribute *from = &data->attributes[i];
+        p->attributes[i].name = hg_strdup(from->name);
+        p->attributes[i].values = copy_checked(from->values, vertices, from->name, false, &status);
+        p->data.n_attributes++;
+        if (!p->attributes[i].name) status = HG_MEMORY;
+    }
+    return status;
+}
+
+static hg_status copy_terms(hg_physics *p, const hg_term *terms)
+{
+    p->terms = hg_alloc((size_t)p->n + 1, sizeof *p->terms);
+    p->params = hg_alloc((size_t)p->n + 1, sizeof *p->params);
+    p->options = hg_alloc((size_t)p->n + 1, sizeof *p->options);
+    p->window_terms = hg_alloc((size_t)p->n + 1, sizeof *p->window_terms);
+    p->window_column = hg_alloc((size_t)p->n + 1, sizeof *p->window_column);
+    p->others = hg_alloc((size_t)p->n + 1, sizeof *p->others);
+    p->sums = hg_alloc((size_t)p->n + 1, sizeof *p->sums);
+    if (!p->terms || !p->params || !p->options || !p->window_terms || !p->window_column || !p->others || !p->sums)
+        return HG_MEMORY;
+    for (int t = 0; t < p->n; t++) {
+        HG_TRY(hg_term_complete(&terms[t], p->params[t], p->options[t]));
+        p->terms[t] = (hg_term){ terms[t].energy, terms[t].weight, p->params[t], p->options[t] };
+    }
+    for (int t = 0; t < p->n; t++) {
+        const hg_term *term = &p->terms[t];
+        if (term->energy->contact) {
+            const char *mode = hg_term_option(term, "mode");
+            const hg_contact_mode wanted = mode && strcmp(mode, "exact") == 0 ? HG_CONTACT_EXACT : HG_CONTACT_PLANE;
+            const double distance = hg_term_param(term, "distance"),
+                         reach = isfinite(distance) ? 2 * distance : INFINITY;
+            if (p->contact >= 0 && p->mode != wanted)
+                return hg_fail(HG_UNSUPPORTED,
+                               "energies '%s' and '%s' ask for different contact modes; one query serves both",
+                               p->terms[p->contact].energy->name, term->energy->name);
+            if (p->contact < 0) p->contact = t;
+            p->mode = wanted;
+            if (reach > p->reach) p->reach = reach;
+        }
+        if (term->energy->site.kind != HG_SITE_WINDOW) continue;
+        if (term->energy->site.count < 1 || !term->energy->trace)
+            return hg_fail(HG_INVALID, "energy '%s' declares no formula or an empty window", term->energy->name);
+        int at = p->n_window++;
+        for (; at > 0 && strcmp(p->window_terms[at - 1].energy->name, term->energy->name) > 0; at--) {
+            p->window_terms[at] = p->window_terms[at - 1];
+            p->window_column[at] = p->window_column[at - 1];
+        }
+        p->window_terms[at] = *term;
+        p->window_column[at] = t;
+    }
+    return HG_OK;
+}
+
+static hg_status make_others(hg_physics *p)
+{
+    for (int t = 0; t < p->n; t++) {
+        const hg_site_kind site = p->terms[t].energy->site.kind;
+        if (site == HG_SITE_WINDOW) continue;
+        other_pass *other = &p->others[p->n_others];
+        other->kind = hg_find("physics_pass", site == HG_SITE_PAIRS ? "pairs" : "field");
+        other->term = t;
+        if (!other->kind)
+            return hg_fail(HG_UNSUPPORTED, "energy '%s' needs the %s pass, which this build does not have",
+                           p->terms[t].energy->name, site == HG_SITE_PAIRS ? "pairs" : "field");
+        const hg_pass_setup setup = { p->ctx, p->dtype, p->terms[t], &p->data };
+        HG_TRY(other->kind->create(&other->self, &setup));
+        p->n_others++;
+    }
+    return HG_OK;
+}
+
+static hg_status asks_for_posed(hg_physics *p)
+{
+    for (int t = 0; t < p->n_window; t++) {
+        hg_trace_scope scope;
+        uint32_t kinds;
+        int n_attributes;
+        char *attributes[8];
+        hg_term_scope(&scope, &p->window_terms[t], t, HG_ALLOW_WINDOW);
+        HG_TRY(hg_formula_inputs(p->window_terms[t].energy->trace, &scope, &kinds, &n_attributes, attributes));
+        for (int i = 0; i < n_attributes; i++) hg_free(attributes[i]);
+        p->wants_posed |= (kinds & HG_ALLOW(HG_INPUT_POSED)) != 0;
+    }
+    return HG_OK;
+}
+
+hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
+                            const hg_groom_data *data)
+{
+    *physics = NULL;
+    if (dtype != HG_F32 && dtype != HG_F64)
+        return hg_fail(HG_INVALID, "physics is f32 or f64, not %s", hg_dtype_name(dtype));
+    if (n < 1) return hg_fail(HG_INVALID, "physics needs at least one energy");
+    if (data->grooms < 1 || data->strands < 0 || data->vertices < 1)
+        return hg_fail(HG_INVALID, "a groom [%lld,%lld,%lld]: at least one groom and one vertex per strand are needed",
+                       (long long)data->grooms, (long long)data->strands, (long long)data->vertices);
+    if (data->strands * data->grooms > 0 && !data->rest) return hg_fail(HG_INVALID, "the groom has no rest positions");
+    hg_physics *p = hg_alloc(1, sizeof *p);
+    if (!p) return HG_MEMORY;
+    p->ctx = ctx;
+    p->dtype = dtype;
+    p->n = n;
+    p->contact = -1;
+    p->backend = HG_BACKEND_AUTO;
+    hg_status status = copy_terms(p, terms);
+    if (status == HG_OK) status = copy_data(p, data);
+    if (status == HG_OK && p->contact >= 0 && !data->body)
+        status = hg_fail(HG_INVALID, "energy '%s' needs a body, and the groom data has none",
+                         p->terms[p->contact].energy->name);
+    if (status == HG_OK) status = asks_for_posed(p);
+    if (status == HG_OK && p->n_window)
+        status = hg_strand_pass_create(&p->strands[0], ctx, dtype, p->n_window, p->window_terms, p->window_column,
+                                       &p->data, false, true);
+    if (status == HG_OK) status = make_others(p);
+    if (status != HG_OK) {
+        hg_physics_destroy(p);
+        return status;
+    }
+    *physics = p;
+    return HG_OK;
+}
+
+void hg_physics_destroy(hg_physics *physics)
+{
+    if (!physics) return;
+    for (int i = 0; i < 2; i++) hg_strand_pass_destroy(physics->strands[i]);
+    for (int i = 0; i < physics->n_others; i++) physics->others[i].kind->destroy(physics->others[i].self);
+    for (int64_t b = 0; b < physics->frames; b++) hg_body_refit_destroy(physics->refits[b]);
+    for (int i = 0; i < physics->data.n_attributes; i++) {
+        hg_free((void *)physics->attributes[i].name);
+        hg_free((void *)physics->attributes[i].values);
+    }
+    hg_free(physics->attributes);
+    hg_free((void *)physics->data.rest);
+    hg_free((void *)physics->data.mass);
+    hg_free(physics->refits);
+    hg_free(physics->triangles);
+    hg_free(physics->terms);
+    hg_free(physics->params);
+    hg_free(physics->options);
+    hg_free(physics->window_terms);
+    hg_free(physics->window_column);
+    hg_free(physics->others);
+    hg_free(physics->sums);
+    hg_free(physics);
+}
+
+hg_status hg_physics_backend(hg_physics *physics, hg_backend backend)
+{
+    for (int i = 0; i < 2; i++)
+        if (physics->strands[i]) HG_TRY(hg_strand_pass_backend(physics->strands[i], physics->ctx, backend));
+    physics->backend = backend;
+    return HG_OK;
+}
+
+const char *hg_physics_backend_name(const hg_physics *physics)
+{
+    return physics->strands[0] ? hg_strand_pass_backend_name(physics->strands[0]) : "interpreter";
+}
+
+/* ---- a frame ------------------------------------------------------------------------------------------------ */
+
+static hg_status check(const hg_physics *p, const hg_tensor *tensor, const char *name, int rank, const int64_t *shape)
+{
+    char text[96];
+    if (!tensor) return HG_OK;
+    bool fits = tensor->rank == rank && tensor->dtype == p->dtype;
+    for (int i = 0; i < rank && fits; i++) fits = shape[i] < 0 || tensor->shape[i] == shape[i];
+    if (fits) return HG_OK;
+    hg_text expected = { 0 };
+    for (int i = 0; i < rank; i++) {
+        if (shape[i] < 0)
+            hg_text_add(&expected, i ? ",N" : "N");
+        else
+            hg_text_add(&expected, i ? ",%lld" : "%lld", (long long)shape[i]);
+    }
+    hg_status status = hg_fail(HG_INVALID, "physics: %s is %s, expected %s [%s]", name, hg_shape_text(tensor, text),
+                               hg_dtype_name(p->dtype), expected.data ? expected.data : "");
+    hg_text_free(&expected);
+    return status;
+}
+
+static hg_status check_frame(const hg_physics *p, const hg_frame *frame, const hg_tensor *x)
+{
+    const int64_t B = x->rank == 4 ? x->shape[0] : 1, S = p->data.strands, V = p->data.vertices;
+    const int64_t vertices[4] = { B, S, V, 3 }, rotation[3] = { B, S, 4 }, position[3] = { B, S, 3 },
+                  body[3] = { B, -1, 3 };
+    HG_TRY(check(p, x, "x", 4, vertices));
+    HG_TRY(check(p, frame->root_rotation, "root_rotation", 3, rotation));
+    HG_TRY(check(p, frame->root_position, "root_position", 3, position));
+    HG_TRY(check(p, frame->posed, "posed", 4, vertices));
+    HG_TRY(check(p, frame->predicted, "predicted", 4, vertices));
+    HG_TRY(check(p, frame->previous, "previous", 4, vertices));
+    HG_TRY(check(p, frame->body_vertices, "body_vertices", 3, body));
+    for (int64_t b = 0; frame->groom && b < B; b++)
+        if (frame->groom[b] < 0 || frame->groom[b] >= p->data.grooms)
+            return hg_fail(HG_INVALID, "physics: frame %lld uses groom %d, but there are %lld", (long long)b,
+                           (int)frame->groom[b], (long long)p->data.grooms);
+    return HG_OK;
+}
+
+static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void **point,
+                              void **normal)
+{
+    *point = *normal = NULL;
+    if (p->contact < 0) return HG_OK;
+    if (!frame->body_vertices)
+        return hg_fail(HG_INVALID, "energy '%s' needs frame.body_vertices, which was not given",
+                       p->terms[p->contact].energy->name);
+    const int64_t B = x->shape[0], points = p->data.strands * p->data.vertices, N = frame->body_vertices->shape[1];
+    const size_t size = hg_dtype_size(p->dtype), bytes = (size_t)(B * points * 3) * size;
+    if (B > p->frames) {
+        hg_body_refit **refits = hg_resize(p->refits, (size_t)p->frames, (size_t)B, sizeof *refits);
+        if (!refits) return HG_MEMORY;
+        p->refits = refits;
+        int32_t *triangles =
+            hg_resize(p->triangles, (size_t)(p->frames * points) + 1, (size_t)(B * points) + 1, sizeof *triangles);
+        if (!triangles) return HG_MEMORY;
+        p->triangles = triangles;
+        for (int64_t i = p->frames * points; i < B * points; i++) triangles[i] = -1;
+        for (; p->frames < B; p->frames++) HG_TRY(hg_body_refit_create(&p->refits[p->frames], p->data.body, p->dtype));
+    }
+    *point = hg_step_alloc(ctx, bytes + 1);
+    *normal = hg_step_alloc(ctx, bytes + 1);
+    if (!*point || !*normal)
+        return hg_fail(HG_MEMORY, "out of memory for the contacts of %lld vertices", (long long)(B * points));
+    for (int64_t b = 0; b < B; b++) {
+        const size_t at = (size_t)(b * points * 3) * size;
+        HG_TRY(hg_body_refit_update(ctx, p->refits[b],
+                                    (const char *)frame->body_vertices->data + (size_t)(b * N * 3) * size));
+        HG_TRY(hg_body_closest(ctx, p->refits[b], p->mode, p->reach, points, (const char *)x->data + at,
+                               p->triangles + b * points, (char *)*point + at, (char *)*normal + at));
+    }
+    return HG_OK;
+}
+
+/* sums[n] is set; per_strand [B,S,n] and gradient are set where not NULL. */
+static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, double *sums,
+                     double *per_strand, void *gradient)
+{
+    HG_TRY(check_frame(p, frame, x));
+    const bool given = frame->posed && p->wants_posed;
+    hg_strand_pass **strands = &p->strands[given];
+    if (given && p->n_window && !*strands) {
+        HG_TRY(hg_strand_pass_create(strands, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
+                                     &p->data, true, true));
+        if (p->backend == HG_BACKEND_INTERPRETER) HG_TRY(hg_strand_pass_backend(*strands, p->ctx, p->backend));
+    }
+    for (int t = 0; t < p->n; t++) sums[t] = 0;
+    void *point, *normal;
+    HG_TRY(find_contact(p, ctx, frame, x, &point, &normal));
+    if (p->n_window)
+        HG_TRY(hg_strand_pass_run(*strands, ctx, frame, x, point, normal, gradient, sums, per_strand, p->n));
+    else if (gradient)
+        memset(gradient, 0, hg_tensor_bytes(x));
+    for (int i = 0; i < p->n_others; i++) {
+        const int t = p->others[i].term;
+        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, gradient, &sums[t],
+                                      per_strand ? per_strand + t : NULL, p->n));
+    }
+    return HG_OK;
+}
+
+hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted,
+                              double *per_strand, hg_tensor *gradient)
+{
+    if (!x) return hg_fail(HG_INVALID, "physics: x is NULL");
+    HG_TRY(check(physics, gradient, "gradient", x->rank, x->shape));
+    HG_TRY(run(physics, ctx, frame, x, physics->sums, per_strand, gradient ? gradient->data : NULL));
+    if (gradient) hg_tensor_touch(gradient);
+    if (unweighted) memcpy(unweighted, physics->sums, (size_t)physics->n * sizeof *unweighted);
+    return HG_OK;
+}
+
+/* ---- on the tape -------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    hg_physics *physics;
+    hg_frame frame;
+    double *unweighted;
+} physics_call;
+
+static hg_tensor *physics_shape(hg_call *call)
+{
+    const physics_call *attributes = call->attributes;
+    return hg_tensor_make(call->ctx, attributes->physics->dtype, 0, NULL);
+}
+
+static hg_status physics_forward(hg_call *call)
+{
+    const physics_call *attributes = call->attributes;
+    hg_physics *p = attributes->physics;
+    hg_tensor *x = call->in[0];
+    if (hg_needs_grad(x)) {
+        call->saved[0] = hg_tensor_make(call->ctx, x->dtype, x->rank, x->shape);
+        if (!call->saved[0]) return hg_ctx_status(call->ctx);
+    }
+    hg_status status =
+        run(p, call->ctx, &attributes->frame, x, p->sums, NULL, call->saved[0] ? call->saved[0]->data : NULL);
+    if (status != HG_OK) return status;
+    double total = 0;
+    for (int t = 0; t < p->n; t++) total += p->terms[t].weight * p->sums[t];
+    if (attributes->unweighted) memcpy(attributes->unweighted, p->sums, (size_t)p->n * sizeof(double));
+    return hg_tensor_fill(call->out, total);
+}
+
+typedef struct {
+    const void *from;
+    void *to;
+    double scale;
+    hg_dtype dtype;
+} scale_work;
+
+static void add_scaled(const void *args, int64_t first, int64_t last)
+{
+    const scale_work *work = args;
+    if (work->dtype == HG_F64) {
+        const double *from = work->from;
+        double *to = work->to;
+        for (int64_t i = first; i < last; i++) to[i] += work->scale * from[i];
+    } else {
+        const float *from = work->from, scale = (float)work->scale;
+        float *to = work->to;
+        for (int64_t i = first; i < last; i++) to[i] += scale * from[i];
+    }
+}
+
+static hg_status physics_backward(hg_call *call)
+{
+    static const hg_kernel kernel = {
+        .name = "physics_backward", .args_size = sizeof(scale_work), .cpu = add_scaled, .block = 65536
+    };
+    if (!hg_needs_grad(call->in[0])) return HG_OK;
+    const scale_work work = { call->saved[0]->data, hg_grad(call->in[0])->data, hg_tensor_item(hg_grad(call->out), 0),
+                              call->in[0]->dtype };
+    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->in[0]), &work);
+}
+
+static const hg_op physics_op = { .name = "physics",
+                                  .formula = "sum of weight * energy",
+                                  .min_in = 1,
+                                  .max_in = 1,
+                                  .attributes_size = sizeof(physics_call),
+                                  .shape = physics_shape,
+                                  .forward = physics_forward,
+                                  .backward = physics_backward };
+
+hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted)
+{
+    const physics_call attributes = { physics, *frame, unweighted };
+    return hg_apply(ctx, &physics_op, 1, &x, &attributes);
+}

@@ -1,0 +1,386 @@
+/* The strand pass of a physics: keeps what is computed once per groom, chooses the kernel (printed when the library was
+ * built, or the interpreter), and runs it over tiles of strands. */
+#include "autograd/trace/strand.h"
+#include "hairloss/physics.h"
+
+#include <omp.h>
+#include <stdio.h>
+#include <string.h>
+
+struct hg_strand_pass {
+    hg_dtype dtype;
+    const hg_groom_data *data;
+    int n; /* terms */
+    hg_term *terms;
+    int32_t *column;
+    hg_strand_program *program;
+    const hg_strand_kernel_entry *compiled; /* NULL: interpreted */
+    char backend[48];
+    int lanes;
+    int64_t tiles;             /* per frame */
+    void *site, *groom_strand; /* made once per groom, in the tile layout of the kernel */
+    void *uniform;
+    double *uniform_values, *uniform_inputs;
+    void *scratch;
+    size_t scratch_size; /* of one thread */
+    int threads;
+};
+
+uint64_t hg_strand_pass_hash(const hg_strand_pass *pass) { return pass->program->hash; }
+
+const char *hg_strand_pass_backend_name(const hg_strand_pass *pass) { return pass->backend; }
+
+/* ---- once per groom ----------------------------------------------------------------------------------------- */
+
+static double groom_value(const hg_strand_pass *p, hg_input in, int64_t groom, int64_t strand, int64_t vertex)
+{
+    const hg_groom_data *data = p->data;
+    const int64_t V = data->vertices;
+    int64_t v = in.kind == HG_INPUT_ROOT_REST ? in.offset : vertex + in.offset;
+    if (v < 0) v = 0; /* windows that begin before the root are stored but never used */
+    if (v > V - 1) v = V - 1;
+    const int64_t at = (groom * data->strands + strand) * V + v;
+    switch (in.kind) {
+    case HG_INPUT_REST:
+    case HG_INPUT_ROOT_REST:
+        return data->rest[3 * at + in.component];
+    case HG_INPUT_MASS:
+        return data->mass[at];
+    default:
+        return hg_groom_attribute_find(data, p->program->attributes[in.name])[at];
+    }
+}
+
+typedef struct {
+    const hg_strand_pass *pass;
+    const hg_function *function;
+    int n_out;
+    int64_t vertices; /* V for sites, 1 for strands */
+    void *to;         /* [G,tiles,vertices,n_out,lanes] */
+} groom_work;
+
+enum { GROOM_CHUNK = HG_LANES_F64, GROOM_VALUES = 64 };
+
+/* Computed in f64 whatever the physics, and rounded once. */
+static void groom_rows(const void *args, int64_t first, int64_t last)
+{
+    const groom_work *work = args;
+    const hg_strand_pass *p = work->pass;
+    int n_in;
+    const hg_input *inputs = hg_function_inputs(work->function, &n_in);
+    double in[GROOM_VALUES][GROOM_CHUNK], out[GROOM_VALUES][GROOM_CHUNK];
+    const void *ins[GROOM_VALUES];
+    void *outs[GROOM_VALUES];
+    for (int i = 0; i < n_in; i++) ins[i] = in[i];
+    for (int j = 0; j < work->n_out; j++) outs[j] = out[j];
+    for (int64_t row = first; row < last; row++) {
+        const int64_t vertex = row % work->vertices, tile = row / work->vertices % p->tiles;
+        const int64_t groom = row / work->vertices / p->tiles;
+        for (int64_t lane = 0; lane < p->lanes; lane += GROOM_CHUNK) {
+            const int64_t count = p->lanes - lane < GROOM_CHUNK ? p->lanes - lane : GROOM_CHUNK;
+            for (int i = 0; i < n_in; i++)
+                for (int64_t l = 0; l < count; l++) {
+                    int64_t strand = tile * p->lanes + lane + l;
+                    if (strand >= p->data->strands) strand = p->data->strands - 1;
+                    in[i][l] = groom_value(p, inputs[i], groom, strand, vertex);
+                }
+            hg_function_run(work->function, HG_F64, count, ins, NULL, outs);
+            for (int j = 0; j < work->n_out; j++) {
+                const int64_t at = (row * work->n_out + j) * p->lanes + lane;
+                for (int64_t l = 0; l < count; l++) {
+                    if (p->dtype == HG_F64)
+                        ((double *)work->to)[at + l] = out[j][l];
+                    else
+                        ((float *)work->to)[at + l] = (float)out[j][l];
+                }
+            }
+        }
+    }
+}
+
+static hg_status make_groom(hg_strand_pass *p, hg_ctx *ctx, const hg_function *function, int n_out, int64_t vertices,
+                            void **to)
+{
+    static const hg_kernel kernel = {
+        .name = "groom_hoist", .args_size = sizeof(groom_work), .cpu = groom_rows, .block = 16
+    };
+    hg_free(*to);
+    *to = NULL;
+    if (!function) return HG_OK;
+    int n_in;
+    hg_function_inputs(function, &n_in);
+    if (n_in > GROOM_VALUES || n_out > GROOM_VALUES)
+        return hg_fail(HG_UNSUPPORTED,
+                       "the energies ask for %d rest values and keep %d per site: at most %d are possible", n_in, n_out,
+                       GROOM_VALUES);
+    const int64_t rows = p->data->grooms * p->tiles * vertices;
+    *to = hg_alloc((size_t)(rows * n_out * p->lanes) + 1, hg_dtype_size(p->dtype));
+    if (!*to) return HG_MEMORY;
+    const groom_work work = { p, function, n_out, vertices, *to };
+    return hg_launch(ctx, &kernel, rows, &work);
+}
+
+/* ---- the kernel --------------------------------------------------------------------------------------------- */
+
+#if defined(__x86_64__)
+#define SUPPORTS(level_)                                                                                               \
+    (strcmp(level_, "avx512") == 0 ? __builtin_cpu_supports("avx512f") && __builtin_cpu_supports("avx512bw") &&        \
+                                         __builtin_cpu_supports("avx512cd") && __builtin_cpu_supports("avx512dq") &&   \
+                                         __builtin_cpu_supports("avx512vl") && __builtin_cpu_supports("fma")           \
+     : strcmp(level_, "avx2") == 0                                                                                     \
+         ? __builtin_cpu_supports("avx2") && __builtin_cpu_supports("fma") && __builtin_cpu_supports("bmi2")           \
+     : strcmp(level_, "sse4") == 0 ? __builtin_cpu_supports("sse4.2")                                                  \
+                                   : 1)
+#else
+#define SUPPORTS(level_) 1
+#endif
+
+static const hg_strand_kernel_entry *find_compiled(const hg_strand_program *program)
+{
+    static const char *const levels[] = { "avx512", "avx2", "sse4", "plain" };
+    for (size_t i = 0; i < sizeof levels / sizeof *levels; i++) {
+        char name[80];
+        snprintf(name, sizeof name, "%s %s %016llx", hg_dtype_name(program->dtype), levels[i],
+                 (unsigned long long)program->hash);
+        const hg_strand_kernel_entry *entry = SUPPORTS(levels[i]) ? hg_find("strand_kernel", name) : NULL;
+        if (entry && entry->hash == program->hash && entry->bytes == (int)hg_dtype_size(program->dtype)) return entry;
+    }
+    return NULL;
+}
+
+static hg_status make_scratch(hg_strand_pass *p, hg_ctx *ctx)
+{
+    if (p->threads >= hg_ctx_threads(ctx) && p->scratch) return HG_OK;
+    hg_free(p->scratch);
+    p->threads = hg_ctx_threads(ctx) > 0 ? hg_ctx_threads(ctx) : 1;
+    p->scratch_size = (hg_strand_scratch(p->program, p->lanes, p->data->vertices) + 4095) & ~(size_t)4095;
+    p->scratch = hg_alloc((size_t)p->threads, p->scratch_size);
+    return p->scratch ? HG_OK : HG_MEMORY;
+}
+
+static hg_status prepare(hg_strand_pass *p, hg_ctx *ctx, const hg_strand_kernel_entry *compiled)
+{
+    const hg_strand_program *program = p->program;
+    p->compiled = compiled;
+    p->lanes = compiled ? compiled->lanes : hg_strand_lanes(p->dtype);
+    p->tiles = (p->data->strands + p->lanes - 1) / p->lanes;
+    if (compiled)
+        snprintf(p->backend, sizeof p->backend, "compiled %s", compiled->level);
+    else
+        snprintf(p->backend, sizeof p->backend, "interpreter");
+    HG_TRY(make_groom(p, ctx, program->site, program->n_site, p->data->vertices, &p->site));
+    HG_TRY(make_groom(p, ctx, program->groom_strand, program->n_groom_strand, 1, &p->groom_strand));
+    p->threads = 0;
+    return make_scratch(p, ctx);
+}
+
+hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend)
+{
+    const hg_strand_kernel_entry *compiled = backend == HG_BACKEND_INTERPRETER ? NULL : find_compiled(pass->program);
+    if (backend == HG_BACKEND_COMPILED && !compiled) {
+        hg_text names = { 0 };
+        for (int i = 0; i < pass->n; i++) hg_text_add(&names, "%s%s", i ? " + " : "", pass->terms[i].energy->name);
+        hg_status status =
+            hg_fail(HG_UNSUPPORTED,
+                    "no kernel was printed for the sum %s (%s, with these options) when this library was "
+                    "built for this processor; the interpreter runs it",
+                    names.data ? names.data : "", hg_dtype_name(pass->dtype));
+        hg_text_free(&names);
+        return status;
+    }
+    if (pass->compiled == compiled && pass->scratch) return HG_OK;
+    return prepare(pass, ctx, compiled);
+}
+
+hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms,
+                                const int32_t *column, const hg_groom_data *data, bool posed_given, bool hoist)
+{
+    *out = NULL;
+    hg_strand_pass *p = hg_alloc(1, sizeof *p);
+    hg_strand_term *traced = hg_alloc((size_t)n + 1, sizeof *traced);
+    hg_status status = p && traced ? HG_OK : HG_MEMORY;
+    if (status != HG_OK) {
+        hg_free(p);
+        hg_free(traced);
+        return status;
+    }
+    p->dtype = dtype;
+    p->data = data;
+    p->n = n;
+    p->terms = hg_alloc((size_t)n + 1, sizeof *p->terms);
+    p->column = hg_alloc((size_t)n + 1, sizeof *p->column);
+    if (!p->terms || !p->column) status = HG_MEMORY;
+    for (int t = 0; status == HG_OK && t < n; t++) {
+        p->terms[t] = terms[t];
+        p->column[t] = column[t];
+        hg_term_scope(&traced[t].scope, &terms[t], t, HG_ALLOW_WINDOW);
+        traced[t].scope.posed_given = posed_given;
+        traced[t].trace = terms[t].energy->trace;
+        traced[t].root = terms[t].energy->root;
+    }
+    if (status == HG_OK) status = hg_strand_program_create(&p->program, dtype, n, traced, hoist);
+    hg_free(traced);
+    for (int i = 0; status == HG_OK && i < p->program->n_attributes; i++)
+        if (!hg_groom_attribute_find(data, p->program->attributes[i]))
+            status = hg_fail(HG_INVALID, "energy '%s' needs the groom attribute '%s', which was not given",
+                             terms[p->program->attribute_term[i]].energy->name, p->program->attributes[i]);
+    if (status == HG_OK) {
+        int n_in = 0;
+        if (p->program->uniform) hg_function_inputs(p->program->uniform, &n_in);
+        p->uniform = hg_alloc((size_t)p->program->n_uniform + 1, sizeof(double));
+        p->uniform_values = hg_alloc((size_t)p->program->n_uniform + 1, sizeof(double));
+        p->uniform_inputs = hg_alloc((size_t)n_in + 1, sizeof(double));
+        if (!p->uniform || !p->uniform_values || !p->uniform_inputs) status = HG_MEMORY;
+    }
+    if (status == HG_OK) status = hg_strand_pass_backend(p, ctx, HG_BACKEND_AUTO);
+    if (status != HG_OK) {
+        hg_strand_pass_destroy(p);
+        return status;
+    }
+    *out = p;
+    return HG_OK;
+}
+
+void hg_strand_pass_destroy(hg_strand_pass *pass)
+{
+    if (!pass) return;
+    hg_strand_program_destroy(pass->program);
+    hg_free(pass->terms);
+    hg_free(pass->column);
+    hg_free(pass->site);
+    hg_free(pass->groom_strand);
+    hg_free(pass->uniform);
+    hg_free(pass->uniform_values);
+    hg_free(pass->uniform_inputs);
+    hg_free(pass->scratch);
+    hg_free(pass);
+}
+
+/* ---- per call ----------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    const hg_strand_pass *pass;
+    hg_strand_args args;
+} strand_work;
+
+static void strand_tiles(const void *args, int64_t first, int64_t last)
+{
+    const strand_work *work = args;
+    const hg_strand_pass *p = work->pass;
+    void *scratch = (char *)p->scratch + (size_t)(omp_get_thread_num() % p->threads) * p->scratch_size;
+    if (p->compiled)
+        p->compiled->run(&work->args, first, last, scratch);
+    else
+        hg_strand_interpret(p->program, &work->args, first, last, scratch);
+}
+
+static void make_uniform(hg_strand_pass *p, const hg_frame *frame)
+{
+    const hg_strand_program *program = p->program;
+    if (!program->uniform) return;
+    int n_in;
+    const hg_input *inputs = hg_function_inputs(program->uniform, &n_in);
+    for (int i = 0; i < n_in; i++)
+        p->uniform_inputs[i] = inputs[i].kind == HG_INPUT_PARAM    ? p->terms[inputs[i].term].params[inputs[i].name]
+                               : inputs[i].kind == HG_INPUT_WEIGHT ? p->terms[inputs[i].term].weight
+                                                                   : frame->dt;
+    void *out[256];
+    for (int j = 0; j < program->n_uniform; j++) out[j] = &p->uniform_values[j];
+    hg_function_run(program->uniform, HG_F64, 1, NULL, p->uniform_inputs, out);
+    for (int j = 0; j < program->n_uniform; j++) {
+        if (p->dtype == HG_F64)
+            ((double *)p->uniform)[j] = p->uniform_values[j];
+        else
+            ((float *)p->uniform)[j] = (float)p->uniform_values[j];
+    }
+}
+
+static hg_status missing(const hg_strand_pass *p, hg_input_kind kind, const char *what)
+{
+    for (int t = 0; t < p->n; t++)
+        if (p->program->used[t] & HG_ALLOW(kind))
+            return hg_fail(HG_INVALID, "energy '%s' needs frame.%s, which was not given", p->terms[t].energy->name,
+                           what);
+    return hg_fail(HG_INVALID, "frame.%s was not given", what);
+}
+
+static bool uses(const hg_strand_pass *p, hg_input_kind kind)
+{
+    for (int t = 0; t < p->n; t++)
+        if (p->program->used[t] & HG_ALLOW(kind)) return true;
+    return false;
+}
+
+/* Root frames where the frame brings none: identity at the rest root. */
+static void *still_roots(const hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, int64_t frames, int width)
+{
+    const int64_t S = p->data->strands, V = p->data->vertices;
+    void *to = hg_step_alloc(ctx, (size_t)(frames * S * width) * hg_dtype_size(p->dtype) + 1);
+    for (int64_t i = 0; to && i < frames * S; i++)
+        for (int c = 0; c < width; c++) {
+            const int64_t groom = frame->groom ? frame->groom[i / S] : 0;
+            const double value = width == 4 ? (c == 0 ? 1 : 0) : p->data->rest[(groom * S + i % S) * V * 3 + c];
+            if (p->dtype == HG_F64)
+                ((double *)to)[i * width + c] = value;
+            else
+                ((float *)to)[i * width + c] = (float)value;
+        }
+    return to;
+}
+
+hg_status hg_strand_pass_run(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
+                             const void *contact_point, const void *contact_normal, void *gradient, double *unweighted,
+                             double *per_strand, int64_t stride)
+{
+    const hg_strand_program *program = p->program;
+    const int64_t frames = x->shape[0], n = frames * p->tiles;
+    for (int t = 0; t < p->n; t++) unweighted[p->column[t]] = 0;
+    if (n == 0) return HG_OK;
+    HG_TRY(make_scratch(p, ctx));
+    make_uniform(p, frame);
+
+    strand_work work = { .pass = p,
+                         .args = { .strands = p->data->strands,
+                                   .vertices = p->data->vertices,
+                                   .tiles = p->tiles,
+                                   .groom = frame->groom,
+                                   .site = p->site,
+                                   .groom_strand = p->groom_strand,
+                                   .uniform = p->uniform,
+                                   .gradient = gradient,
+                                   .per_strand = per_strand,
+                                   .stride = stride,
+                                   .column = p->column } };
+    hg_strand_args *args = &work.args;
+    const struct {
+        int array;
+        const void *data;
+        hg_input_kind kind;
+        const char *name;
+    } given[] = {
+        { HG_STRAND_X, x->data, HG_INPUT_X, "x" },
+        { HG_STRAND_POSED, frame->posed ? frame->posed->data : NULL, HG_INPUT_POSED, "posed" },
+        { HG_STRAND_PREDICTED, frame->predicted ? frame->predicted->data : NULL, HG_INPUT_PREDICTED, "predicted" },
+        { HG_STRAND_PREVIOUS, frame->previous ? frame->previous->data : NULL, HG_INPUT_PREVIOUS, "previous" },
+        { HG_STRAND_CONTACT_POINT, contact_point, HG_INPUT_CONTACT_POINT, "body_vertices" },
+        { HG_STRAND_CONTACT_NORMAL, contact_normal, HG_INPUT_CONTACT_NORMAL, "body_vertices" },
+    };
+    for (size_t i = 0; i < sizeof given / sizeof *given; i++) {
+        args->array[given[i].array] = given[i].data;
+        if (!given[i].data && program->arrays >> given[i].array & 1) return missing(p, given[i].kind, given[i].name);
+    }
+    if (uses(p, HG_INPUT_DT) && !(frame->dt > 0)) return missing(p, HG_INPUT_DT, "dt (a positive time step)");
+    args->root_rotation = frame->root_rotation ? frame->root_rotation->data : still_roots(p, ctx, frame, frames, 4);
+    args->root_position = frame->root_position ? frame->root_position->data : still_roots(p, ctx, frame, frames, 3);
+    args->energy = hg_step_alloc(ctx, (size_t)(n * p->n) * sizeof(double) + 1);
+    if (!args->root_rotation || !args->root_position || !args->energy)
+        return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)(frames * p->data->strands));
+
+    const hg_kernel kernel = {
+        .name = "strand_energies", .args_size = sizeof work, .cpu = strand_tiles, .block = p->lanes >= 64 ? 1 : 8
+    };
+    HG_TRY(hg_launch(ctx, &kernel, n, &work));
+    for (int64_t tile = 0; tile < n; tile++)
+        for (int t = 0; t < p->n; t++) unweighted[p->column[t]] += args->energy[tile * p->n + t];
+    return HG_OK;
+}
