@@ -118,7 +118,7 @@ static hg_status copy_terms(hg_physics *p, const hg_term *terms)
             const char *mode = hg_term_option(term, "mode");
             const hg_contact_mode wanted = mode && strcmp(mode, "exact") == 0 ? HG_CONTACT_EXACT : HG_CONTACT_PLANE;
             const double distance = hg_term_param(term, "distance"),
-                         reach = isfinite(distance) ? 2 * distance : INFINITY;
+                         reach = isfinite(distance) ? 2 * distance : (double)INFINITY;
             if (p->contact >= 0 && p->mode != wanted)
                 return hg_fail(HG_UNSUPPORTED,
                                "energies '%s' and '%s' ask for different contact modes; one query serves both",

@@ -20,7 +20,7 @@ enum { PREAMBLE = HG_STRAND_BODIES, POSTAMBLE };
 
 static const struct {
     hg_input_kind kind;
-    hg_place place;
+    hg_where place;
 } arrays[HG_STRAND_ARRAYS] = {
     [HG_STRAND_X] = { HG_INPUT_X, HG_PLACE_X },
     [HG_STRAND_POSED] = { HG_INPUT_POSED, HG_PLACE_POSED },

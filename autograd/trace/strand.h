@@ -40,7 +40,7 @@ typedef enum {
     HG_PLACE_GRADIENT1,
     HG_PLACE_ENERGY, /* of term index */
     HG_PLACES
-} hg_place;
+} hg_where;
 
 typedef struct {
     uint8_t place;
