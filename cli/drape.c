@@ -57,14 +57,14 @@ static hg_status drape_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
                                       hg_hair_body(task), frames, hg_hair_rate(task));
     }
     if (status == HG_OK)
-        status = hg_hair_drape(task, ctx, motion, shape, part.first, frames, part.stride, hg_drape_file_add, file, &progress);
+        status = hg_hair_drape(task, ctx, motion, shape, part.first, frames, part.stride, hg_drape_file_add, file,
+                               &progress);
     if (status == HG_OK)
         status = hg_drape_file_commit(file);
     else
         hg_drape_file_discard(file);
     cli_progress_end();
-    if (status == HG_OK)
-        printf("%s: %lld frames of %lld strands\n", path, (long long)frames, (long long)strands);
+    if (status == HG_OK) printf("%s: %lld frames of %lld strands\n", path, (long long)frames, (long long)strands);
     hg_motion_destroy(loaded);
     hg_hair_task_destroy(task);
     return status;
@@ -95,7 +95,8 @@ static const hg_argument drape_options[] = {
     { "stride", "N", "every N-th strand only (default 1)", false },
     CLI_CONTEXT_OPTIONS,
 };
-HG_COMMAND(drape, .what = "drape the hair over a motion with a trained network", .usage = "RUN -o FILE.vtkhdf",
-           .options = drape_options, .n_options = sizeof drape_options / sizeof *drape_options, .min_free = 1, .max_free = 1,
-           .run = drape,
-           .more = "  hairgrad drape out/demo/run --clip shake -o out/demo/drape.vtkhdf --body-out out/demo/body.vtkhdf\n");
+HG_COMMAND(
+    drape, .what = "drape the hair over a motion with a trained network", .usage = "RUN -o FILE.vtkhdf",
+    .options = drape_options, .n_options = sizeof drape_options / sizeof *drape_options, .min_free = 1, .max_free = 1,
+    .run = drape,
+    .more = "  hairgrad drape out/demo/run --clip shake -o out/demo/drape.vtkhdf --body-out out/demo/body.vtkhdf\n");

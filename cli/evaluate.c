@@ -8,10 +8,10 @@ enum { CLIPS = 64 };
 
 static void table_head(void)
 {
-    printf("%-20s %6s %8s %8s %8s %8s %9s %9s %9s %9s %8s %7s\n", "clip", "frames", "length", "orient", "inside", "posed",
-           "energy", "posed", "grav+body", "posed", "tip", "lag");
-    printf("%-20s %6s %8s %8s %8s %8s %9s %9s %9s %9s %8s %7s\n", "", "", "%", "degrees", "%", "%", "nJ", "nJ", "nJ", "nJ",
-           "m/s", "ms");
+    printf("%-20s %6s %8s %8s %8s %8s %9s %9s %9s %9s %8s %7s\n", "clip", "frames", "length", "orient", "inside",
+           "posed", "energy", "posed", "grav+body", "posed", "tip", "lag");
+    printf("%-20s %6s %8s %8s %8s %8s %9s %9s %9s %9s %8s %7s\n", "", "", "%", "degrees", "%", "%", "nJ", "nJ", "nJ",
+           "nJ", "m/s", "ms");
 }
 
 static void table_row(const char *name, const hg_hair_metrics *m)
@@ -105,8 +105,9 @@ static const hg_argument evaluate_options[] = {
     { "json", "FILE", "write the metrics there too", false },
     CLI_CONTEXT_OPTIONS,
 };
-HG_COMMAND(evaluate, .what = "judge a trained network on held-out motions and body shapes", .usage = "RUN",
-           .options = evaluate_options, .n_options = sizeof evaluate_options / sizeof *evaluate_options, .min_free = 1,
-           .max_free = 1, .run = evaluate,
-           .more = "  hairgrad evaluate out/demo/run --json out/demo/metrics.json\n"
-                   "`posed` columns are the rigidly posed groom; `tip` is the rms speed of the tips in the head's frame.\n");
+HG_COMMAND(
+    evaluate, .what = "judge a trained network on held-out motions and body shapes", .usage = "RUN",
+    .options = evaluate_options, .n_options = sizeof evaluate_options / sizeof *evaluate_options, .min_free = 1,
+    .max_free = 1, .run = evaluate,
+    .more = "  hairgrad evaluate out/demo/run --json out/demo/metrics.json\n"
+            "`posed` columns are the rigidly posed groom; `tip` is the rms speed of the tips in the head's frame.\n");

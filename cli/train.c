@@ -12,8 +12,9 @@ static hg_status overrides(hg_config *config, const hg_arguments *arguments)
         if (!key) return HG_MEMORY;
         char *value = strchr(key, '=');
         if (value) *value++ = '\0';
-        const hg_status status = value ? hg_config_set(config, key, value)
-                                       : hg_fail(HG_INVALID, "--set %s: expected key=value, like training.steps=2000", key);
+        const hg_status status =
+            value ? hg_config_set(config, key, value)
+                  : hg_fail(HG_INVALID, "--set %s: expected key=value, like training.steps=2000", key);
         hg_free(key);
         HG_TRY(status);
     }
@@ -25,7 +26,8 @@ static hg_status look_at_folder(const char *folder, bool resume, bool again)
     char *checkpoint = hg_path_join(folder, "checkpoint.h5"), *best = hg_path_join(folder, "best.h5");
     hg_status status = checkpoint && best ? HG_OK : HG_MEMORY;
     if (status == HG_OK && !resume && !again && (hg_file_exists(checkpoint) || hg_file_exists(best)))
-        status = hg_fail(HG_INVALID, "%s: it holds a run already; --resume goes on with it, --again starts it anew", folder);
+        status =
+            hg_fail(HG_INVALID, "%s: it holds a run already; --resume goes on with it, --again starts it anew", folder);
     if (status == HG_OK && again && !resume) {
         remove(checkpoint);
         remove(best);
@@ -94,8 +96,9 @@ static const hg_argument train_options[] = {
     { "other-backend", NULL, "resume although another back end computed the checkpoint", false },
     CLI_CONTEXT_OPTIONS,
 };
-HG_COMMAND(train, .what = "train a network on a recipe", .usage = "RECIPE.yaml -o RUN", .options = train_options,
-           .n_options = sizeof train_options / sizeof *train_options, .min_free = 1, .max_free = 1, .run = train,
-           .more = "  hairgrad train examples/recipes/demo.yaml -o out/demo/run\n"
-                   "  hairgrad train examples/recipes/neuralocks.yaml -o out/run --set scene.folder=out/scene --minutes 20\n"
-                   "Ctrl-C writes a checkpoint; the same command with --resume goes on, bit for bit.\n");
+HG_COMMAND(
+    train, .what = "train a network on a recipe", .usage = "RECIPE.yaml -o RUN", .options = train_options,
+    .n_options = sizeof train_options / sizeof *train_options, .min_free = 1, .max_free = 1, .run = train,
+    .more = "  hairgrad train examples/recipes/demo.yaml -o out/demo/run\n"
+            "  hairgrad train examples/recipes/neuralocks.yaml -o out/run --set scene.folder=out/scene --minutes 20\n"
+            "Ctrl-C writes a checkpoint; the same command with --resume goes on, bit for bit.\n");

@@ -80,8 +80,8 @@ static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg
     hg_hair_normalise_frame(task, d->raw, d->inputs);
     hg_no_grad_begin(ctx);
     hg_tensor *x = hg_hair_predict(
-        task, ctx, d->part, hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, d->inputs), d->rest,
-        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 4 }, d->rotation),
+        task, ctx, d->part, hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, d->inputs),
+        d->rest, hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 4 }, d->rotation),
         hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 3 }, d->position));
     hg_no_grad_end(ctx);
     HG_TRY(hg_ctx_status(ctx));
@@ -109,7 +109,8 @@ hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
     drape d = { 0 };
     hg_status status = HG_OK;
     if (first < 0 || first >= motion->frames)
-        status = hg_fail(HG_INVALID, "drape: frame %lld of a motion of %lld", (long long)first, (long long)motion->frames);
+        status =
+            hg_fail(HG_INVALID, "drape: frame %lld of a motion of %lld", (long long)first, (long long)motion->frames);
     else if (frames <= 0 || first + frames > motion->frames)
         frames = motion->frames - first;
     if (status == HG_OK) status = drape_prepare(&d, task, ctx, motion, stride);

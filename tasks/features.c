@@ -27,8 +27,8 @@ static hg_status find_joints(const hg_config *config, const char *key, const hg_
 {
     *count = hg_config_count(config, key);
     if (*count > HG_HAIR_JOINTS)
-        return hg_fail(HG_INVALID, "%s:%d: %s: %d joints; at most %d", hg_config_name(config), hg_config_line(config, key),
-                       key, *count, HG_HAIR_JOINTS);
+        return hg_fail(HG_INVALID, "%s:%d: %s: %d joints; at most %d", hg_config_name(config),
+                       hg_config_line(config, key), key, *count, HG_HAIR_JOINTS);
     for (int i = 0; i < *count; i++) {
         const char *name = hg_config_text_at(config, key, i);
         joints[i] = hg_body_joint(body, name);
@@ -54,7 +54,8 @@ hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config,
     layout->frame_inputs =
         (layout->shape ? HG_SHAPES : 0) + layout->pose_inputs + layout->history * layout->velocity_inputs;
     if (layout->frame_inputs < 1)
-        return hg_fail(HG_INVALID, "%s: features: no shape, no pose and no history: the network would not see the frame",
+        return hg_fail(HG_INVALID,
+                       "%s: features: no shape, no pose and no history: the network would not see the frame",
                        hg_config_name(config));
     return HG_OK;
 }
@@ -81,8 +82,7 @@ void hg_hair_joints(const hg_body *body, const hg_motion *motion, int64_t frame,
         } else {
             const float *from = body->joint + 3 * parent;
             const hg_quatd base = hg_quatd_load(rotation + 4 * parent);
-            const hg_vec3d bone =
-                hg_vec3d_sub(at, hg_vec3d_make((double)from[0], (double)from[1], (double)from[2]));
+            const hg_vec3d bone = hg_vec3d_sub(at, hg_vec3d_make((double)from[0], (double)from[1], (double)from[2]));
             at = hg_vec3d_add(hg_vec3d_load(position + 3 * parent), hg_quatd_rotate(base, bone));
             turn = hg_quatd_mul(base, local);
         }
@@ -125,8 +125,7 @@ static void track_velocity(const hg_hair_layout *layout, const hg_motion *motion
                            const double *before_place, const double *now, const double *now_place, float *out)
 {
     const int head = layout->head;
-    const hg_vec3d moved =
-        hg_vec3d_sub(hg_vec3d_load(now_place + 3 * head), hg_vec3d_load(before_place + 3 * head));
+    const hg_vec3d moved = hg_vec3d_sub(hg_vec3d_load(now_place + 3 * head), hg_vec3d_load(before_place + 3 * head));
     const hg_vec3d seen = hg_quatd_rotate(hg_quatd_conj(hg_quatd_load(now + 4 * head)), moved);
     out[0] = (float)(seen.x * motion->rate / linear_unit);
     out[1] = (float)(seen.y * motion->rate / linear_unit);
@@ -154,7 +153,8 @@ hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layou
         hg_hair_track_destroy(track);
         return HG_MEMORY;
     }
-    double *rotation[2] = { scratch, scratch + 4 * joints }, *place[2] = { scratch + 8 * joints, scratch + 11 * joints };
+    double *rotation[2] = { scratch, scratch + 4 * joints },
+           *place[2] = { scratch + 8 * joints, scratch + 11 * joints };
     for (int64_t t = 0; t < motion->frames; t++) {
         const int now = (int)(t & 1);
         hg_hair_joints(body, motion, t, rotation[now], place[now]);
@@ -230,7 +230,8 @@ static void moments(int64_t n, int stride, const float *values, double least, do
 }
 
 /* Mean and deviation of one channel over all training clips. */
-static void clip_moments(const hg_hair_task *task, bool pose, int channel, double least, double *mean, double *deviation)
+static void clip_moments(const hg_hair_task *task, bool pose, int channel, double least, double *mean,
+                         double *deviation)
 {
     const int width = pose ? task->layout.pose_inputs : task->layout.velocity_inputs;
     double sum = 0, squares = 0;
@@ -292,11 +293,12 @@ static hg_status frame_feature_rows(hg_hair_task *task)
         HG_TRY(add_feature(task, hg_format("shape[%d]", k), 0, fmax(body->shape_spread[k], 0.05)));
     for (int i = 0; i < layout->pose_inputs; i++) {
         clip_moments(task, true, i, least_pose, mean, deviation);
-        HG_TRY(add_feature(task,
-                           hg_format("pose.%s.%c%c", body->joint_name[layout->pose[i / 6]], axis[i % 6 / 3], axis[i % 3]),
-                           *mean, *deviation));
+        HG_TRY(add_feature(
+            task, hg_format("pose.%s.%c%c", body->joint_name[layout->pose[i / 6]], axis[i % 6 / 3], axis[i % 3]), *mean,
+            *deviation));
     }
-    for (int i = 0; i < layout->velocity_inputs; i++) clip_moments(task, false, i, least_velocity, mean + i, deviation + i);
+    for (int i = 0; i < layout->velocity_inputs; i++)
+        clip_moments(task, false, i, least_velocity, mean + i, deviation + i);
     for (int lag = 0; lag < layout->history; lag++)
         for (int i = 0; i < layout->velocity_inputs; i++)
             HG_TRY(add_feature(task,

@@ -20,9 +20,9 @@ typedef struct {
     hg_term term[HG_HAIR_TERMS];
     double params[HG_HAIR_TERMS][HG_ENERGY_PARAMS];
     const char *options[HG_HAIR_TERMS][HG_ENERGY_OPTIONS]; /* point into the config */
-} hg_hair_terms; /* points into itself: never copied */
+} hg_hair_terms;                                           /* points into itself: never copied */
 
-int       hg_hair_energies(const hg_energy **energies /* [256] */); /* registered ones, by name */
+int hg_hair_energies(const hg_energy **energies /* [256] */);             /* registered ones, by name */
 hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config); /* weight 0: the energy is off */
 hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
 
@@ -34,8 +34,8 @@ typedef struct {
     int history, n_pose, n_velocity;
     int pose[HG_HAIR_JOINTS], velocity[HG_HAIR_JOINTS]; /* joints of the body */
     int head;
-    int pose_inputs, velocity_inputs;                   /* per frame */
-    int frame_inputs;                                   /* shape + pose + history * velocity */
+    int pose_inputs, velocity_inputs; /* per frame */
+    int frame_inputs;                 /* shape + pose + history * velocity */
 } hg_hair_layout;
 
 /* What the joints of a clip do, frame by frame; nothing here depends on the body shape. */
@@ -51,21 +51,23 @@ typedef struct {
 } hg_hair_clip_data;
 
 hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config, const hg_body *body);
-hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layout, const hg_body *body, const hg_motion *motion);
-void      hg_hair_track_destroy(hg_hair_track *track);
+hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layout, const hg_body *body,
+                               const hg_motion *motion);
+void hg_hair_track_destroy(hg_hair_track *track);
 /* Raw features of one frame: shape, pose, then velocities of frame, frame - 1, .. (zero before the clip). */
-void      hg_hair_track_frame(const hg_hair_layout *layout, const hg_hair_track *track, int64_t frame, const double *shape, float *out);
+void hg_hair_track_frame(const hg_hair_layout *layout, const hg_hair_track *track, int64_t frame, const double *shape,
+                         float *out);
 /* Global rotations and places of all joints on the neutral body. rotation [J,4], position [J,3]. */
-void      hg_hair_joints(const hg_body *body, const hg_motion *motion, int64_t frame, double *rotation, double *position);
+void hg_hair_joints(const hg_body *body, const hg_motion *motion, int64_t frame, double *rotation, double *position);
 
 /* ---- strands of a step -------------------------------------------------------------------------------------- */
 
 typedef struct {
     int64_t n;
-    int32_t *strand;      /* [n] of the groom, ascending */
-    hg_tensor *rest;      /* [n,V,3] f32 */
-    hg_tensor *features;  /* [n,strand_inputs] f32, normalised */
-    double *lengths;      /* [n,V-1] rest edges */
+    int32_t *strand;     /* [n] of the groom, ascending */
+    hg_tensor *rest;     /* [n,V,3] f32 */
+    hg_tensor *features; /* [n,strand_inputs] f32, normalised */
+    double *lengths;     /* [n,V-1] rest edges */
     hg_physics *physics;
 } hg_hair_subset;
 
@@ -76,10 +78,10 @@ typedef enum { HG_HAIR_TRAINING = 0, HG_HAIR_EVALUATION = 1 } hg_hair_purpose;
 /* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. */
 typedef struct {
     int64_t frames, strands, body_vertices;
-    float *inputs;     /* [3,B,frame_inputs] normalised */
-    float *rotation;   /* [3,B,S,4] */
-    float *position;   /* [3,B,S,3] */
-    float *body;       /* [B,N,3] at t */
+    float *inputs;   /* [3,B,frame_inputs] normalised */
+    float *rotation; /* [3,B,S,4] */
+    float *position; /* [3,B,S,3] */
+    float *body;     /* [B,N,3] at t */
 } hg_hair_batch;
 
 /* ---- task --------------------------------------------------------------------------------------------------- */
@@ -89,7 +91,7 @@ struct hg_hair_task {
     hg_config *config;
     uint64_t config_hash, seed;
     char *folder;
-    bool opened;              /* a finished run: nothing is trained or written */
+    bool opened; /* a finished run: nothing is trained or written */
 
     hg_body *body;
     hg_groom *groom;
@@ -99,9 +101,9 @@ struct hg_hair_task {
     double rate, spread[HG_SHAPES];
 
     hg_poser *poser;
-    int64_t body_vertices;   /* kept by the poser */
-    float *posed_body;       /* [body_vertices,3] scratch */
-    hg_body_tree *tree;      /* collider */
+    int64_t body_vertices;                 /* kept by the poser */
+    float *posed_body;                     /* [body_vertices,3] scratch */
+    hg_body_tree *tree;                    /* collider */
     float *body_distance, *scalp_distance; /* [S,V] of the rest groom */
 
     hg_hair_layout layout;
@@ -110,15 +112,15 @@ struct hg_hair_task {
     double *mean, *deviation; /* [inputs] */
     hg_feature *features;     /* [inputs] */
     int n_features;
-    float *strand_raw;        /* [S,strand_inputs] */
-    int32_t *lock, locks;     /* [S] lock of a strand; how many there are */
+    float *strand_raw;    /* [S,strand_inputs] */
+    int32_t *lock, locks; /* [S] lock of a strand; how many there are */
     hg_model *encoder, *model;
-    hg_tensor *output_map;    /* [outputs,(V-1)*3]: outputs -> displacements */
+    hg_tensor *output_map; /* [outputs,(V-1)*3]: outputs -> displacements */
     hg_tensor *mean_tensor, *inverse_deviation;
 
     hg_hair_terms terms;
     char *term_name[HG_HAIR_TERMS][3]; /* weighted, in joule, of a validation: for the log */
-    double reference;         /* m g L of the mean strand [J] */
+    double reference;                  /* m g L of the mean strand [J] */
 
     hg_hair_subset subset, evaluation;
     int64_t subset_epoch;
@@ -130,24 +132,24 @@ struct hg_hair_task {
 
 hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress);
-hg_status hg_hair_strands_encode(hg_hair_task *task); /* strand features from the encoder as it is */
+hg_status hg_hair_strands_encode(hg_hair_task *task);  /* strand features from the encoder as it is */
 hg_status hg_hair_features_create(hg_hair_task *task); /* names and normalisation; once the strands are there */
 hg_status hg_hair_features_tensors(hg_hair_task *task);
-void      hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out);
+void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out);
 
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
-void      hg_hair_subset_destroy(hg_hair_subset *subset);
+void hg_hair_subset_destroy(hg_hair_subset *subset);
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
-double    hg_hair_reference_energy(const hg_groom *groom);
+double hg_hair_reference_energy(const hg_groom *groom);
 hg_status hg_hair_evaluation_subset(hg_hair_task *task); /* made at the first call */
 
-size_t    hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
+size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
 hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int64_t frames, int64_t strands);
 /* Fills slot b of a batch: the clip at frame - 2, frame - 1 and frame, with a body shape. */
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
                              int64_t b, const hg_hair_clip_data *clip, int64_t frame, const double shape[HG_SHAPES]);
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);
-void      hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
+void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
 
 /* Strands [n,V,3] of `frames` frames from the network. part: hg_model's strand_part of the strands. */
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,

@@ -84,8 +84,7 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     hg_tensor *inputs = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
     hg_tensor *rotation = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
     hg_tensor *position = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
-    hg_tensor *body =
-        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
+    hg_tensor *body = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
     if (!inputs || !rotation || !position || !body) return NULL;
 
     /* What belongs to the strands is the same at the three times. */
@@ -98,7 +97,8 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     hg_tensor *predicted = hg_sub(ctx, hg_scale(ctx, previous, 2, 0), before);
     hg_no_grad_end(ctx);
 
-    hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B), *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
+    hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B),
+              *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
     hg_tensor *x = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, inputs, 2 * B, B), subset->rest, now_rotation,
                                    now_position);
     const hg_frame frame = { .root_rotation = now_rotation,
@@ -144,7 +144,8 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
     for (int64_t k = 0; status == HG_OK && k < n; k++) {
         int64_t frame = (2 * k + 1) * frames / (2 * n);
         int clip = 0;
-        while (frame >= task->clips[held_out][clip].motion->frames) frame -= task->clips[held_out][clip++].motion->frames;
+        while (frame >= task->clips[held_out][clip].motion->frames)
+            frame -= task->clips[held_out][clip++].motion->frames;
         double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 };
         hg_hair_held_out_shape(task, k, shape);
         hg_step_reset(ctx);
@@ -188,7 +189,8 @@ static hg_status load_features(hg_hair_task *task, hg_h5 *file)
     const int64_t inputs = task->inputs;
     double *mean = NULL, *deviation = NULL, *reference = NULL;
     hg_status status = hg_h5_read(file, "/features/mean", HG_F64, 1, &inputs, NULL, (void **)&mean);
-    if (status == HG_OK) status = hg_h5_read(file, "/features/deviation", HG_F64, 1, &inputs, NULL, (void **)&deviation);
+    if (status == HG_OK)
+        status = hg_h5_read(file, "/features/deviation", HG_F64, 1, &inputs, NULL, (void **)&deviation);
     if (status == HG_OK)
         status = hg_h5_read(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&reference);
     for (int64_t i = 0; status == HG_OK && i < inputs; i++)

@@ -11,15 +11,15 @@
 #include <string.h>
 
 enum { TIPS = 256, LAGS = 16 };
-static const double deep = 1e-4;      /* m: deeper is inside */
-static const double still = 0.02;     /* m/s: slower posed tips say nothing of lag */
+static const double deep = 1e-4;  /* m: deeper is inside */
+static const double still = 0.02; /* m/s: slower posed tips say nothing of lag */
 
 typedef struct {
     hg_tensor *now, *before, *older; /* [1,S,V,3] */
     int32_t *triangle;               /* [S V] guesses of the closest face */
     double energy[HG_HAIR_TERMS];
     int64_t inside, vertices;
-    float *tips;                     /* [T,tips,3] motion about the head from frame to frame */
+    float *tips; /* [T,tips,3] motion about the head from frame to frame */
 } side;
 
 typedef struct {
@@ -100,8 +100,8 @@ static hg_status prepare(evaluation *e)
     e->contact_point = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     e->contact_normal = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     e->last_tip = hg_alloc((size_t)e->tips * 9, sizeof(double));
-    if (!e->rotation || !e->position || !e->body || !e->predicted || !e->joint_position || !e->joint_rotation || !e->raw ||
-        !e->inputs || !e->contact_point || !e->contact_normal || !e->last_tip)
+    if (!e->rotation || !e->position || !e->body || !e->predicted || !e->joint_position || !e->joint_rotation ||
+        !e->raw || !e->inputs || !e->contact_point || !e->contact_normal || !e->last_tip)
         return HG_MEMORY;
     HG_TRY(hg_body_refit_create(&e->refit, task->tree, HG_F32));
     hg_step_reset(e->ctx);
@@ -120,7 +120,8 @@ static hg_status strands_of(evaluation *e, int64_t frame)
     hg_hair_task *task = e->task;
     const hg_hair_subset *subset = &task->evaluation;
     const int64_t S = subset->n, V = task->groom->vertices;
-    HG_TRY(hg_pose(e->ctx, task->poser, e->shape, e->motion, frame, e->body->data, e->joint_position, e->joint_rotation));
+    HG_TRY(
+        hg_pose(e->ctx, task->poser, e->shape, e->motion, frame, e->body->data, e->joint_position, e->joint_rotation));
     HG_TRY(hg_pose_roots(e->ctx, task->poser, task->groom, subset->strand, S, e->body->data, e->rotation->data,
                          e->position->data));
     hg_tensor_touch(e->body);
@@ -129,9 +130,10 @@ static hg_status strands_of(evaluation *e, int64_t frame)
     hg_hair_track_frame(&task->layout, &e->track, frame, e->shape, e->raw);
     hg_hair_normalise_frame(task, e->raw, e->inputs);
     hg_no_grad_begin(e->ctx);
-    hg_tensor *x = hg_hair_predict(
-        task, e->ctx, e->part, hg_tensor_wrap(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
-        subset->rest, e->rotation, e->position);
+    hg_tensor *x =
+        hg_hair_predict(task, e->ctx, e->part,
+                        hg_tensor_wrap(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
+                        subset->rest, e->rotation, e->position);
     hg_no_grad_end(e->ctx);
     HG_TRY(hg_ctx_status(e->ctx));
     HG_TRY(hg_tensor_copy(e->net.now, x));
@@ -205,7 +207,8 @@ static void measure_tips(evaluation *e, int64_t frame)
         const hg_vec3d seen = hg_quatd_rotate(unturn, net);
         double *last = e->last_tip + 9 * i;
         if (frame > 0) {
-            const hg_vec3d moved[2] = { hg_vec3d_sub(net, hg_vec3d_load(last)), hg_vec3d_sub(posed, hg_vec3d_load(last + 3)) };
+            const hg_vec3d moved[2] = { hg_vec3d_sub(net, hg_vec3d_load(last)),
+                                        hg_vec3d_sub(posed, hg_vec3d_load(last + 3)) };
             for (int k = 0; k < 2; k++) {
                 float *out = (k ? e->posed.tips : e->net.tips) + (frame * e->tips + i) * 3;
                 out[0] = (float)moved[k].x, out[1] = (float)moved[k].y, out[2] = (float)moved[k].z;
@@ -275,7 +278,8 @@ static double correlation(const evaluation *e, int lag)
 static double tip_lag(const evaluation *e)
 {
     double squares = 0;
-    for (int64_t i = 0; i < e->frames * e->tips * 3; i++) squares += (double)e->posed.tips[i] * (double)e->posed.tips[i];
+    for (int64_t i = 0; i < e->frames * e->tips * 3; i++)
+        squares += (double)e->posed.tips[i] * (double)e->posed.tips[i];
     const double count = (double)((e->frames - 1) * e->tips);
     if (e->frames < 8 || !(sqrt(squares / count) * e->task->rate > still)) return (double)NAN;
     const int lags = e->frames / 3 < LAGS ? (int)(e->frames / 3) : LAGS;
@@ -319,8 +323,8 @@ static void summarise(const evaluation *e, hg_hair_metrics *metrics)
     metrics->tip_lag = tip_lag(e);
 }
 
-hg_status hg_hair_evaluate(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t frames,
-                           hg_hair_metrics *metrics, const hg_progress *progress)
+hg_status hg_hair_evaluate(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape,
+                           int64_t frames, hg_hair_metrics *metrics, const hg_progress *progress)
 {
     hg_motion *resampled = NULL;
     if (fabs(motion->rate - task->rate) > 1e-6 * task->rate) {

@@ -5,7 +5,7 @@
 #include <pthread.h>
 #include <string.h>
 
-#define POSE_JOINTS "[Head, Neck1, Neck, Spine1, LowerBack, LeftShoulder, RightShoulder]"
+#define POSE_JOINTS     "[Head, Neck1, Neck, Spine1, LowerBack, LeftShoulder, RightShoulder]"
 #define VELOCITY_JOINTS "[Head, Neck1, Neck, Spine1, LowerBack, Hips]"
 
 static const hg_config_row rows[] = {
@@ -37,26 +37,32 @@ static const hg_config_row rows[] = {
     { "model.output", HG_CHOICE, "vertices", NULL, "vertices|edges", 0, 0,
       "what the network predicts: displacements of vertices (published) or of edges, summed from the root" },
     { "model.output_scale", HG_NUMBER, "10 mm", "m", NULL, 1e-6, 10, "displacement for an output of 1" },
-    { "model.pinned", HG_INTEGER, "1", NULL, NULL, 1, 2, "vertices of a strand that move with the head: 1 the root, 2 its edge too" },
+    { "model.pinned", HG_INTEGER, "1", NULL, NULL, 1, 2,
+      "vertices of a strand that move with the head: 1 the root, 2 its edge too" },
 
     /* ---- features */
     { "features.shape", HG_FLAG, "true", NULL, NULL, 0, 0, "the ten shape coefficients" },
-    { "features.pose_joints", HG_TEXTS, POSE_JOINTS, NULL, NULL, 0, 0, "joints whose rotation is an input; Head: its heading is removed" },
-    { "features.velocity_joints", HG_TEXTS, VELOCITY_JOINTS, NULL, NULL, 0, 0, "joints whose angular velocity is an input" },
+    { "features.pose_joints", HG_TEXTS, POSE_JOINTS, NULL, NULL, 0, 0,
+      "joints whose rotation is an input; Head: its heading is removed" },
+    { "features.velocity_joints", HG_TEXTS, VELOCITY_JOINTS, NULL, NULL, 0, 0,
+      "joints whose angular velocity is an input" },
     { "features.history", HG_INTEGER, "30", NULL, NULL, 0, 1000, "frames of velocities; 0: a quasi-static network" },
     { "features.latent", HG_INTEGER, "32", NULL, NULL, 1, 1024, "numbers that describe a strand" },
     { "features.lock_size", HG_INTEGER, "64", NULL, NULL, 1, 100000, "strands of a lock" },
     { "features.encoder_width", HG_INTEGER, "256", NULL, NULL, 1, 8192, "of the strand encoder's hidden layers" },
-    { "features.encoder_steps", HG_INTEGER, "1000", NULL, NULL, 1, 1000000, "training steps of the strand autoencoder" },
+    { "features.encoder_steps", HG_INTEGER, "1000", NULL, NULL, 1, 1000000,
+      "training steps of the strand autoencoder" },
 
     /* ---- losses: the common part */
     { "losses", HG_SECTION, NULL, NULL, NULL, 0, 0, "the energies, one section each" },
 
     /* ---- training */
-    { "training.strands", HG_INTEGER, "3000", NULL, NULL, 1, 1000000, "strands that a step sees, drawn from the groom" },
+    { "training.strands", HG_INTEGER, "3000", NULL, NULL, 1, 1000000,
+      "strands that a step sees, drawn from the groom" },
     { "training.subset", HG_CHOICE, "locks", NULL, "locks|spread", 0, 0,
       "draw whole locks spread over the scalp, or strands spread over all locks" },
-    { "training.resample_every", HG_INTEGER, "0", NULL, NULL, 0, 1000000000, "steps after which other strands are drawn; 0: never" },
+    { "training.resample_every", HG_INTEGER, "0", NULL, NULL, 0, 1000000000,
+      "steps after which other strands are drawn; 0: never" },
     { "training.frames", HG_INTEGER, "1", NULL, NULL, 1, 256, "frames of a step, each with a body shape of its own" },
     { "training.steps", HG_INTEGER, "10000", NULL, NULL, 1, 1000000000, "" },
     { "training.learning_rate", HG_NUMBER, "5e-4", "1", NULL, 0, 1, "the largest, after the warm-up" },
@@ -99,7 +105,8 @@ int hg_hair_energies(const hg_energy **energies)
 static int energy_rows(const hg_energy *energy, hg_config_row *out)
 {
     int n = 0;
-    out[n++] = (hg_config_row){ .key = hg_format("losses.%s", energy->name), .type = HG_SECTION, .help = energy->equation };
+    out[n++] =
+        (hg_config_row){ .key = hg_format("losses.%s", energy->name), .type = HG_SECTION, .help = energy->equation };
     out[n++] = (hg_config_row){ .key = hg_format("losses.%s.weight", energy->name),
                                 .type = HG_NUMBER,
                                 .value = "0",
@@ -236,7 +243,8 @@ hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *config)
             (hg_term){ .energy = energies[i], .weight = weight, .params = params, .options = options };
     }
     if (terms->n == 0)
-        return hg_fail(HG_INVALID, "%s: no energy under `losses:`; a hair needs at least stretch, bend_twist and gravity",
+        return hg_fail(HG_INVALID,
+                       "%s: no energy under `losses:`; a hair needs at least stretch, bend_twist and gravity",
                        hg_config_name(config));
     return HG_OK;
 }

@@ -49,8 +49,7 @@ static hg_status draw_spread(const hg_hair_task *task, uint64_t stream, int64_t 
         hg_free(taken);
         return HG_MEMORY;
     }
-    for (int64_t s = 0; s < strands; s++)
-        order[s] = (keyed){ random_key(task->seed, stream, (uint64_t)s), (int32_t)s };
+    for (int64_t s = 0; s < strands; s++) order[s] = (keyed){ random_key(task->seed, stream, (uint64_t)s), (int32_t)s };
     qsort(order, (size_t)strands, sizeof *order, by_key);
     for (int64_t i = 0; i < strands; i++) {
         const uint64_t turn = taken[task->lock[order[i].item]]++;
@@ -110,7 +109,8 @@ static hg_status draw(hg_hair_subset *subset, const hg_hair_task *task, hg_hair_
     subset->strand = hg_alloc((size_t)subset->n, sizeof *subset->strand);
     if (!subset->strand) return HG_MEMORY;
     const uint64_t stream = 7100 + 2 * (uint64_t)epoch + (purpose == HG_HAIR_EVALUATION ? 1 : 0);
-    const bool spread = purpose == HG_HAIR_EVALUATION || !strcmp(hg_config_text(task->config, "training.subset"), "spread");
+    const bool spread =
+        purpose == HG_HAIR_EVALUATION || !strcmp(hg_config_text(task->config, "training.subset"), "spread");
     HG_TRY(spread ? draw_spread(task, stream, subset->n, subset->strand)
                   : draw_locks(task, stream, subset->n, subset->strand));
     qsort(subset->strand, (size_t)subset->n, sizeof *subset->strand, by_number);
@@ -165,8 +165,8 @@ static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
     if (status == HG_OK) {
         const char *backend = hg_config_text(task->config, "training.backend");
         if (strcmp(backend, "auto"))
-            status = hg_physics_backend(subset->physics, !strcmp(backend, "compiled") ? HG_BACKEND_COMPILED
-                                                                                     : HG_BACKEND_INTERPRETER);
+            status = hg_physics_backend(subset->physics,
+                                        !strcmp(backend, "compiled") ? HG_BACKEND_COMPILED : HG_BACKEND_INTERPRETER);
     }
     hg_free(rest);
     hg_free(mass);

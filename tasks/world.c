@@ -102,9 +102,11 @@ static hg_status load_clips(hg_hair_task *task, bool held_out)
     for (int i = 0; i < n; i++) {
         hg_motion *motion = NULL;
         if (made) {
-            const uint64_t seed = (uint64_t)hg_config_integer(config, "scene.seed") * 1000 + (held_out ? 500u : 0u) + (unsigned)i;
-            HG_TRY(in_config(config, kinds, hg_motion_make(&motion, task->body, hg_config_text_at(config, kinds, i),
-                                                           hg_config_number(config, "scene.seconds"), task->rate, seed)));
+            const uint64_t seed =
+                (uint64_t)hg_config_integer(config, "scene.seed") * 1000 + (held_out ? 500u : 0u) + (unsigned)i;
+            HG_TRY(in_config(config, kinds,
+                             hg_motion_make(&motion, task->body, hg_config_text_at(config, kinds, i),
+                                            hg_config_number(config, "scene.seconds"), task->rate, seed)));
         } else {
             char *path = scene_path(config, hg_config_text_at(config, files, i));
             if (!path) return HG_MEMORY;
@@ -207,8 +209,10 @@ hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress)
     hg_progress_report(progress, 0, "body and groom");
     HG_TRY(load_body(task));
     if (task->body->scalp_faces < 1)
-        return hg_fail(HG_INVALID, "%s: the body has no scalp, so no hair can grow on it; name its scalp faces when it "
-                                   "is imported", hg_config_text(config, "scene.body"));
+        return hg_fail(HG_INVALID,
+                       "%s: the body has no scalp, so no hair can grow on it; name its scalp faces when it "
+                       "is imported",
+                       hg_config_text(config, "scene.body"));
     HG_TRY(load_groom(task));
     HG_TRY(hg_hair_layout_create(&task->layout, config, task->body));
     HG_TRY(load_clips(task, false));
