@@ -1,0 +1,417 @@
+/* train: Adam against plain loops, a toy task, resume to the bit, threads, killed checkpoints, refusals. */
+#include "hairgrad.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/stat.h>
+#include <sys/wait.h>
+#include <unistd.h>
+#include <cmocka.h>
+
+static char folder[64];
+
+static int make_folder(void **state)
+{
+    (void)state;
+    snprintf(folder, sizeof folder, "%s/hairgrad_train_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
+    return mkdtemp(folder) ? 0 : -1;
+}
+
+static int remove_folder(void **state)
+{
+    (void)state;
+    char command[128];
+    snprintf(command, sizeof command, "chmod -R u+w '%s'; rm -rf '%s'", folder, folder);
+    return system(command) == 0 ? 0 : -1;
+}
+
+static hg_ctx *make_ctx(int threads)
+{
+    hg_ctx *ctx = NULL;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 3 }), HG_OK);
+    return ctx;
+}
+
+/* ---- Adam --------------------------------------------------------------------------------------------------- */
+
+enum { SMALL = 5, LARGE = 9001 };
+
+static void set_gradient(hg_tensor *param, uint64_t step)
+{
+    float *g = hg_grad(param)->data;
+    for (int64_t i = 0; i < hg_tensor_count(param); i++)
+        g[i] = (float)hg_random_normal(1, (uint64_t)hg_tensor_count(param), step * 100000 + (uint64_t)i);
+}
+
+static void adam_matches_plain_loops(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(2);
+    hg_tensor *params[2] = { hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ SMALL }),
+                             hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ LARGE / 3, 3 }) };
+    const int64_t count[2] = { SMALL, LARGE / 3 * 3 };
+    double *value[2], *m[2], *v[2];
+    for (int p = 0; p < 2; p++) {
+        assert_int_equal(hg_require_grad(params[p]), HG_OK);
+        value[p] = calloc((size_t)count[p], sizeof(double));
+        m[p] = calloc((size_t)count[p], sizeof(double));
+        v[p] = calloc((size_t)count[p], sizeof(double));
+    }
+    hg_adam *adam = NULL;
+    assert_int_equal(hg_adam_create(&adam, ctx, 2, params), HG_OK);
+    const double rate = 1e-2, beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8, decay = 0.01, clip = 50;
+    for (int step = 1; step <= 10; step++) {
+        double squares = 0, norm = 0;
+        for (int p = 0; p < 2; p++) {
+            set_gradient(params[p], (uint64_t)step);
+            for (int64_t i = 0; i < count[p]; i++) squares += pow(hg_tensor_item(hg_grad(params[p]), i), 2);
+        }
+        const double length = sqrt(squares), scale = length > clip ? clip / length : 1;
+        assert_true(scale < 1);
+        for (int p = 0; p < 2; p++)
+            for (int64_t i = 0; i < count[p]; i++) {
+                const double g = scale * hg_tensor_item(hg_grad(params[p]), i);
+                m[p][i] = beta1 * m[p][i] + (1 - beta1) * g;
+                v[p][i] = beta2 * v[p][i] + (1 - beta2) * g * g;
+                const double m_hat = m[p][i] / (1 - pow(beta1, step)), v_hat = v[p][i] / (1 - pow(beta2, step));
+                value[p][i] -= rate * m_hat / (sqrt(v_hat) + epsilon) + rate * decay * value[p][i];
+            }
+        assert_int_equal(hg_adam_step(adam, rate, beta1, beta2, epsilon, decay, clip, &norm), HG_OK);
+        assert_true(fabs(norm - length) < 1e-9 * length);
+    }
+    for (int p = 0; p < 2; p++)
+        for (int64_t i = 0; i < count[p]; i++) assert_true(fabs(hg_tensor_item(params[p], i) - value[p][i]) < 2e-6);
+    for (int p = 0; p < 2; p++) {
+        free(value[p]);
+        free(m[p]);
+        free(v[p]);
+        hg_tensor_destroy(params[p]);
+    }
+    hg_adam_destroy(adam);
+    hg_ctx_destroy(ctx);
+}
+
+static void adam_refuses_what_is_not_finite(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(1);
+    hg_tensor *param = hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ 10 });
+    param->name = "hidden7.weight";
+    hg_require_grad(param);
+    hg_adam *adam = NULL;
+    assert_int_equal(hg_adam_create(&adam, ctx, 1, &param), HG_OK);
+    set_gradient(param, 1);
+    ((float *)hg_grad(param)->data)[7] = NAN;
+    assert_int_equal(hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_NUMERIC);
+    assert_non_null(strstr(hg_message(), "hidden7.weight"));
+    for (int i = 0; i < 10; i++) assert_true(hg_tensor_item(param, i) == 0);
+    set_gradient(param, 1);
+    assert_int_equal(hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_OK);
+    for (int i = 0; i < 10; i++)
+        assert_true(fabs(fabs(hg_tensor_item(param, i)) - 0.1) < 1e-5); /* the first step is the rate */
+    hg_adam_destroy(adam);
+    hg_tensor_destroy(param);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- a toy task --------------------------------------------------------------------------------------------- */
+
+enum { ROWS = 32, INPUTS = 5, OUTPUTS = 3 };
+
+typedef struct {
+    float x[ROWS * INPUTS], y[ROWS * OUTPUTS];
+} toy_batch;
+
+static hg_status toy_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *bytes)
+{
+    (void)self, (void)ctx;
+    toy_batch *batch = bytes;
+    for (int r = 0; r < ROWS; r++) {
+        float *x = batch->x + r * INPUTS;
+        for (int i = 0; i < INPUTS; i++)
+            x[i] = (float)hg_random_normal(seed, 50, (step * ROWS + (uint64_t)r) * INPUTS + (uint64_t)i);
+        for (int k = 0; k < OUTPUTS; k++) batch->y[r * OUTPUTS + k] = sinf(x[k]) * x[k + 1];
+    }
+    return HG_OK;
+}
+
+static hg_tensor *toy_loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
+{
+    (void)self, (void)report;
+    toy_batch *batch = (toy_batch *)(uintptr_t)bytes;
+    hg_tensor *x = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ ROWS, INPUTS }, batch->x);
+    hg_tensor *y = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ ROWS, OUTPUTS }, batch->y);
+    return hg_mean(ctx, hg_square(ctx, hg_sub(ctx, model->forward(model->self, ctx, &x, 1), y)));
+}
+
+static hg_status toy_validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *report)
+{
+    toy_batch batch;
+    toy_sample(self, ctx, 999, 0, &batch);
+    hg_no_grad_begin(ctx);
+    const hg_tensor *loss = toy_loss(self, ctx, model, &batch, NULL);
+    hg_no_grad_end(ctx);
+    if (loss) hg_report_add(report, "validation", hg_tensor_item(loss, 0));
+    return hg_ctx_status(ctx);
+}
+
+static const hg_task toy = {
+    .batch_bytes = sizeof(toy_batch), .sample = toy_sample, .loss = toy_loss, .validate = toy_validate
+};
+
+static hg_train_options toy_options(void)
+{
+    hg_train_options options = hg_train_defaults();
+    options.steps = 120;
+    options.learning_rate = 5e-3;
+    options.warm_up = 10;
+    options.log_every = 10;
+    options.validate_every = 40;
+    options.checkpoint_every = 25;
+    options.backend = "toy";
+    options.config_hash = 0xfedcba9876543210u;
+    return options;
+}
+
+typedef struct {
+    int64_t at, asked;
+} stop_at;
+
+static bool stop_now(void *self)
+{
+    stop_at *stop = self;
+    return stop->asked++ == stop->at;
+}
+
+/* Trains the toy in `name` (NULL: no folder) and returns its weights. */
+static float *toy_run(const char *name, int threads, hg_train_options options, hg_train_result *result, size_t *bytes)
+{
+    hg_ctx *ctx = make_ctx(threads);
+    hg_model *model = NULL;
+    const hg_model_spec spec = {
+        .inputs = INPUTS, .outputs = OUTPUTS, .width = 48, .depth = 2, .activation = HG_TANH, .seed = 8
+    };
+    assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
+    char path[128];
+    snprintf(path, sizeof path, "%s/%s", folder, name ? name : "");
+    options.folder = name ? path : NULL;
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, result), HG_OK);
+    *bytes = 0;
+    for (int i = 0; i < model->n_params; i++) *bytes += hg_tensor_bytes(model->params[i]);
+    char *weights = malloc(*bytes);
+    for (int i = 0, at = 0; i < model->n_params; at += (int)hg_tensor_bytes(model->params[i]), i++)
+        memcpy(weights + at, model->params[i]->data, hg_tensor_bytes(model->params[i]));
+    hg_model_destroy(model);
+    hg_ctx_destroy(ctx);
+    return (float *)weights;
+}
+
+static void toy_is_learnt(void **state)
+{
+    (void)state;
+    hg_train_result result;
+    size_t bytes;
+    hg_train_options options = toy_options();
+    options.steps = 400;
+    free(toy_run("learn", 2, options, &result, &bytes));
+    assert_int_equal(result.steps, 400);
+    assert_true(result.best_validation < 0.1); /* the mean square of the target is 0.4 */
+    assert_false(result.interrupted);
+    char path[160];
+    const char *const files[] = { "checkpoint.h5", "best.h5", "log.jsonl", "report.json" };
+    for (int i = 0; i < 4; i++) {
+        snprintf(path, sizeof path, "%s/learn/%s", folder, files[i]);
+        assert_true(hg_file_exists(path));
+    }
+    void *log = NULL;
+    size_t size;
+    snprintf(path, sizeof path, "%s/learn/log.jsonl", folder);
+    assert_int_equal(hg_file_read(path, &log, &size), HG_OK);
+    assert_non_null(strstr(log, "{\"step\": 400, \"loss\": "));
+    assert_non_null(strstr(log, "\"gradient_norm\": "));
+    assert_non_null(strstr(log, "\"learning_rate\": "));
+    assert_non_null(strstr(log, "\"backend\": \"toy\""));
+    hg_free(log);
+}
+
+static void threads_do_not_matter(void **state)
+{
+    (void)state;
+    hg_train_result result;
+    size_t bytes, same;
+    float *one = toy_run(NULL, 1, toy_options(), &result, &bytes),
+          *two = toy_run(NULL, 2, toy_options(), &result, &same);
+    assert_int_equal(bytes, same);
+    assert_memory_equal(one, two, bytes);
+    free(one);
+    free(two);
+}
+
+static int lines(const char *name)
+{
+    char path[160];
+    void *text = NULL;
+    size_t size;
+    int n = 0;
+    snprintf(path, sizeof path, "%s/%s/log.jsonl", folder, name);
+    assert_int_equal(hg_file_read(path, &text, &size), HG_OK);
+    for (size_t i = 0; i < size; i++) n += ((char *)text)[i] == '\n' && i > 0;
+    hg_free(text);
+    return n;
+}
+
+static void resumed_equals_uninterrupted(void **state)
+{
+    (void)state;
+    hg_train_result whole, part;
+    size_t bytes, same;
+    float *expected = toy_run("whole", 2, toy_options(), &whole, &bytes);
+    hg_train_options options = toy_options();
+    stop_at stop = { .at = 67 };
+    options.stop = stop_now;
+    options.stop_self = &stop;
+    free(toy_run("parts", 2, options, &part, &same));
+    assert_true(part.interrupted);
+    assert_int_equal(part.steps, 67);
+    options.resume = true;
+    stop = (stop_at){ .at = 20 };
+    free(toy_run("parts", 1, options, &part, &same));
+    assert_int_equal(part.steps, 87);
+    options.stop = NULL;
+    float *found = toy_run("parts", 2, options, &part, &same);
+    assert_int_equal(part.steps, 120);
+    assert_int_equal(bytes, same);
+    assert_memory_equal(expected, found, bytes);
+    assert_true(part.best_validation == whole.best_validation);
+    /* the two sessions more each note their back end, and nothing else is logged twice */
+    assert_int_equal(lines("parts"), lines("whole") + 2);
+    free(expected);
+    free(found);
+}
+
+static void resume_refuses(void **state)
+{
+    (void)state;
+    hg_train_result result;
+    size_t bytes;
+    hg_train_options options = toy_options();
+    options.steps = 30;
+    free(toy_run("refuse", 1, options, &result, &bytes));
+    hg_ctx *ctx = make_ctx(1);
+    hg_model *model = NULL, *wide = NULL;
+    hg_model_spec spec = {
+        .inputs = INPUTS, .outputs = OUTPUTS, .width = 48, .depth = 2, .activation = HG_TANH, .seed = 8
+    };
+    assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
+    spec.width = 49;
+    assert_int_equal(hg_model_create(&wide, ctx, "neuralocks", &spec), HG_OK);
+    char path[128];
+    snprintf(path, sizeof path, "%s/refuse", folder);
+    options.folder = path;
+    options.resume = true;
+    options.config_hash++;
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, NULL), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "another config"));
+    options.config_hash--;
+    options.backend = "other";
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, NULL), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "toy"));
+    options.allow_other_backend = true;
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, NULL), HG_OK);
+    assert_int_not_equal(hg_train(ctx, wide, &toy, &options, NULL, NULL), HG_OK);
+    options.steps = 0;
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, NULL), HG_INVALID);
+    hg_model_destroy(model);
+    hg_model_destroy(wide);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- checkpoints -------------------------------------------------------------------------------------------- */
+
+static hg_status fail_to_save(void *self, hg_h5 *file)
+{
+    (void)file;
+    if (self) raise(SIGKILL); /* in the middle of the file */
+    return hg_fail(HG_IO, "no space left");
+}
+
+static void broken_checkpoint_leaves_the_old_one(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(1);
+    hg_model *model = NULL;
+    const hg_model_spec spec = { .inputs = INPUTS, .outputs = OUTPUTS, .width = 8, .depth = 1, .activation = HG_TANH };
+    assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
+    char path[128];
+    snprintf(path, sizeof path, "%s/kill.h5", folder);
+    assert_int_equal(hg_checkpoint_save(path, model, NULL, 41, NULL, "a", 1), HG_OK);
+    float first = ((float *)model->params[0]->data)[0];
+    ((float *)model->params[0]->data)[0] = first + 1;
+
+    hg_task task = toy;
+    task.save = fail_to_save;
+    assert_int_equal(hg_checkpoint_save(path, model, NULL, 42, &task, "b", 1), HG_IO);
+    const pid_t child = fork();
+    if (child == 0) {
+        task.self = &task;
+        hg_checkpoint_save(path, model, NULL, 43, &task, "c", 1);
+        _exit(0);
+    }
+    int status = 0;
+    assert_int_equal(waitpid(child, &status, 0), child);
+    assert_true(WIFSIGNALED(status));
+
+    int64_t step = 0;
+    char *backend = NULL;
+    uint64_t hash = 0;
+    assert_int_equal(hg_checkpoint_load(path, model, NULL, &step, NULL, &backend, &hash), HG_OK);
+    assert_int_equal(step, 41);
+    assert_string_equal(backend, "a");
+    assert_true(((float *)model->params[0]->data)[0] == first);
+    hg_free(backend);
+    hg_model_destroy(model);
+    hg_ctx_destroy(ctx);
+}
+
+static void wrong_checkpoints_are_refused(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(1);
+    hg_model *model = NULL, *other = NULL;
+    hg_model_spec spec = {
+        .inputs = INPUTS, .outputs = OUTPUTS, .width = 8, .depth = 1, .latent = 2, .activation = HG_TANH
+    };
+    assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
+    assert_int_equal(hg_model_create(&other, ctx, "strand_autoencoder", &spec), HG_OK);
+    char path[128];
+    snprintf(path, sizeof path, "%s/wrong.h5", folder);
+    assert_int_not_equal(hg_checkpoint_load(path, model, NULL, NULL, NULL, NULL, NULL), HG_OK);
+    assert_int_equal(hg_file_write(path, "not hdf5", 8), HG_OK);
+    assert_int_not_equal(hg_checkpoint_load(path, model, NULL, NULL, NULL, NULL, NULL), HG_OK);
+    assert_int_equal(hg_checkpoint_save(path, other, NULL, 1, NULL, "", 1), HG_OK);
+    assert_int_equal(hg_checkpoint_load(path, model, NULL, NULL, NULL, NULL, NULL), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "strand_autoencoder"));
+    hg_model_destroy(model);
+    hg_model_destroy(other);
+    hg_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(adam_matches_plain_loops),
+        cmocka_unit_test(adam_refuses_what_is_not_finite),
+        cmocka_unit_test(toy_is_learnt),
+        cmocka_unit_test(threads_do_not_matter),
+        cmocka_unit_test(resumed_equals_uninterrupted),
+        cmocka_unit_test(resume_refuses),
+        cmocka_unit_test(broken_checkpoint_leaves_the_old_one),
+        cmocka_unit_test(wrong_checkpoints_are_refused),
+    };
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+}
