@@ -90,7 +90,7 @@ struct hg_hair_task {
     hg_ctx *ctx;
     hg_config *config;
     uint64_t config_hash, seed;
-    char *folder;
+    char *folder, *backend;
     bool opened; /* a finished run: nothing is trained or written */
 
     hg_body *body;

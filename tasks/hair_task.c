@@ -293,7 +293,7 @@ static hg_train_options train_options(const hg_hair_task *task)
     options.checkpoint_every = hg_config_integer(c, "training.checkpoint_every");
     options.folder = task->folder;
     options.config_hash = task->config_hash;
-    options.backend = hg_physics_backend_name(task->subset.physics);
+    options.backend = task->backend;
     return options;
 }
 
@@ -319,6 +319,8 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .validate = validate,
                             .save = save,
                             .load = load };
+    task->backend = hg_strdup(hg_physics_backend_name(task->subset.physics)); /* outlives a subset drawn anew */
+    if (!task->backend) return HG_MEMORY;
     task->options = train_options(task);
     return HG_OK;
 }
@@ -380,6 +382,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
         for (int k = 0; k < 3; k++) hg_free(task->term_name[i][k]);
     hg_free(task->validation_batch);
     hg_free(task->folder);
+    hg_free(task->backend);
     hg_config_destroy(task->config);
     hg_free(task);
 }

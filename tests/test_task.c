@@ -40,7 +40,7 @@ static const char tiny[] = "scene:\n"
                            "  validation_frames: 4\n"
                            "  checkpoint_every: 20\n";
 
-static char folder[64];
+static char folder[256];
 
 static int make_folder(void **state)
 {
@@ -52,7 +52,7 @@ static int make_folder(void **state)
 static int remove_folder(void **state)
 {
     (void)state;
-    char command[128];
+    char command[600];
     snprintf(command, sizeof command, "rm -rf '%s'", folder);
     return system(command) == 0 ? 0 : -1;
 }
@@ -77,7 +77,7 @@ static session begin(const char *run, int threads, const char *key, const char *
     assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
     hg_config *config = parse(tiny);
     if (key) assert_int_equal(hg_config_set(config, key, value), HG_OK);
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
     if (hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL) != HG_OK) fail_msg("%s", hg_message());
     hg_config_destroy(config);
@@ -281,7 +281,7 @@ static void training_lowers_the_loss(void **state)
     assert_int_equal(metrics.n_terms, 5);
 
     /* What is opened from the folder is what was trained (the best one). */
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/learn", folder);
     hg_hair_task *opened = NULL;
     if (hg_hair_task_open(&opened, s.ctx, path, NULL) != HG_OK) fail_msg("%s", hg_message());

@@ -13,7 +13,7 @@
 #include <unistd.h>
 #include <cmocka.h>
 
-static char folder[64];
+static char folder[256];
 
 static int make_folder(void **state)
 {
@@ -25,7 +25,7 @@ static int make_folder(void **state)
 static int remove_folder(void **state)
 {
     (void)state;
-    char command[128];
+    char command[600];
     snprintf(command, sizeof command, "chmod -R u+w '%s'; rm -rf '%s'", folder, folder);
     return system(command) == 0 ? 0 : -1;
 }
@@ -197,7 +197,7 @@ static float *toy_run(const char *name, int threads, hg_train_options options, h
         .inputs = INPUTS, .outputs = OUTPUTS, .width = 48, .depth = 2, .activation = HG_TANH, .seed = 8
     };
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/%s", folder, name ? name : "");
     options.folder = name ? path : NULL;
     assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, result), HG_OK);
@@ -222,7 +222,7 @@ static void toy_is_learnt(void **state)
     assert_int_equal(result.steps, 400);
     assert_true(result.best_validation < 0.1); /* the mean square of the target is 0.4 */
     assert_false(result.interrupted);
-    char path[160];
+    char path[320];
     const char *const files[] = { "checkpoint.h5", "best.h5", "log.jsonl", "report.json" };
     for (int i = 0; i < 4; i++) {
         snprintf(path, sizeof path, "%s/learn/%s", folder, files[i]);
@@ -254,7 +254,7 @@ static void threads_do_not_matter(void **state)
 
 static int lines(const char *name)
 {
-    char path[160];
+    char path[320];
     void *text = NULL;
     size_t size;
     int n = 0;
@@ -310,7 +310,7 @@ static void resume_refuses(void **state)
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
     spec.width = 49;
     assert_int_equal(hg_model_create(&wide, ctx, "neuralocks", &spec), HG_OK);
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/refuse", folder);
     options.folder = path;
     options.resume = true;
@@ -347,7 +347,7 @@ static void broken_checkpoint_leaves_the_old_one(void **state)
     hg_model *model = NULL;
     const hg_model_spec spec = { .inputs = INPUTS, .outputs = OUTPUTS, .width = 8, .depth = 1, .activation = HG_TANH };
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/kill.h5", folder);
     assert_int_equal(hg_checkpoint_save(path, model, NULL, 41, NULL, "a", 1), HG_OK);
     float first = ((float *)model->params[0]->data)[0];
@@ -388,7 +388,7 @@ static void wrong_checkpoints_are_refused(void **state)
     };
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
     assert_int_equal(hg_model_create(&other, ctx, "strand_autoencoder", &spec), HG_OK);
-    char path[128];
+    char path[320];
     snprintf(path, sizeof path, "%s/wrong.h5", folder);
     assert_int_not_equal(hg_checkpoint_load(path, model, NULL, NULL, NULL, NULL, NULL), HG_OK);
     assert_int_equal(hg_file_write(path, "not hdf5", 8), HG_OK);
