@@ -71,6 +71,7 @@ typedef struct hg_sample {
     int n_in;
     struct { int rank; int64_t shape[HG_MAX_RANK]; hg_dtype dtype; double low, high; bool no_grad; const double *values; } in[HG_OP_INPUTS]; /* uniform in [low, high] (both 0: [-1, 1]) or values; dtype HG_F32 stands for the float type under test, HG_I32 stays */
     const void *attributes;
+    bool zero_gradient;                                          /* some input's gradient is zero everywhere, and that is right */
 } hg_sample;
 
 struct hg_op {
@@ -110,7 +111,10 @@ typedef struct {
 } hg_gradcheck_options;
 typedef struct { double worst; int input; int64_t element; double analytic, numeric, step; char text[256]; } hg_gradcheck_result;
 
-/* f: builds a one-element f64 tensor from inputs (f64 step tensors or leaves). */
+/* f: builds a one-element f64 tensor from inputs (f64 step tensors or leaves). Checked are the inputs that need a
+ * gradient; where none does, all f64 inputs are made to. Derivatives are differences of four values over steps from
+ * `step` down by tens, the best one counts; signs count; a gradient that is zero everywhere is refused unless declared.
+ * HG_NUMERIC when it is wrong: the message and result->text say which element. */
 hg_status hg_gradcheck(hg_ctx *ctx, hg_tensor *(*f)(void *self, hg_ctx *ctx, hg_tensor **in), void *self,
                        int n_in, hg_tensor *const *in, const hg_gradcheck_options *options, hg_gradcheck_result *result);
 hg_status hg_gradcheck_op(hg_ctx *ctx, const hg_op *op, const hg_sample *sample, const hg_gradcheck_options *options, hg_gradcheck_result *result);

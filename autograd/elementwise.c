@@ -195,12 +195,15 @@ static bool tie_kink(const hg_call *call, int in, int64_t element, double step)
     PAIR("same shape", 2, (3, 4), 2, (3, 4), low_), PAIR("row", 2, (3, 4), 1, (4), low_),                              \
         PAIR("column", 2, (3, 4), 2, (3, 1), low_), PAIR("outer", 2, (3, 1), 2, (1, 4), low_),                         \
         PAIR("middle", 3, (2, 3, 4), 3, (2, 1, 4), low_), PAIR("middle of a", 4, (2, 1, 2, 1), 3, (3, 2, 2), low_),    \
-        PAIR("scalar b", 2, (3, 4), 0, (0), low_), PAIR("scalar a", 0, (0), 2, (3, 4), low_),                          \
-        PAIR("one", 1, (1), 1, (1), low_), PAIR("empty", 2, (0, 4), 1, (4), low_),                                     \
+        PAIR("scalar b", 2, (3, 4), 0, (0), low_),                                                                     \
+        PAIR("scalar a", 0, (0), 2, (3, 4), low_),                          \ PAIR("empty", 2, (0, 4), 1, (4), low_),  \
         PAIR("two blocks, row", 2, (1500, 3), 1, (3), low_), PAIR("two blocks, column", 2, (3, 1500), 2, (3, 1), low_)
 
-static const hg_sample plain_pairs[] = { PAIRS(0) };
-static const hg_sample positive_pairs[] = { PAIRS(0.5) };
+static const hg_sample plain_pairs[] = { PAIRS(0), PAIR("one", 1, (1), 1, (1), 0) };
+static const hg_sample positive_pairs[] = { PAIRS(0.5), PAIR("one", 1, (1), 1, (1), 0.5) };
+static const hg_sample tie_pairs[] = {
+    PAIRS(0), { .label = "one", .n_in = 2, .in = { { 1, { 1 } }, { 1, { 1 } } }, .zero_gradient = true }
+};
 
 #define BINARY_OP(NAME_, FORMULA_, ONNX_, SAMPLES_, ...)                                                               \
     static const binary_functions NAME_##_functions = { { NAME_##_forward_f32, NAME_##_forward_f64 },                  \
@@ -222,8 +225,8 @@ BINARY_OP(add, "a + b", "Add", plain_pairs, .kink = NULL)
 BINARY_OP(sub, "a - b", "Sub", plain_pairs, .kink = NULL)
 BINARY_OP(mul, "a b", "Mul", plain_pairs, .kink = NULL)
 BINARY_OP(div, "a / b", "Div", positive_pairs, .kink = NULL)
-BINARY_OP(minimum, "min(a, b), ties to a", "Min", plain_pairs, .kink = tie_kink)
-BINARY_OP(maximum, "max(a, b), ties to a", "Max", plain_pairs, .kink = tie_kink)
+BINARY_OP(minimum, "min(a, b), ties to a", "Min", tie_pairs, .kink = tie_kink)
+BINARY_OP(maximum, "max(a, b), ties to a", "Max", tie_pairs, .kink = tie_kink)
 
 /* ---- unary ---- */
 
@@ -367,7 +370,7 @@ static const hg_sample plain_samples[] = { UNARY_SAMPLES(-2, 2, ) };
 static const hg_sample positive_samples[] = { UNARY_SAMPLES(0.25, 4, ) };
 static const hg_sample scale_samples[] = { UNARY_SAMPLES(-2, 2,
                                                          .attributes = &(const unary_attributes){ { -1.5, 0.25 } }) };
-static const hg_sample clamp_samples[] = { UNARY_SAMPLES(-2, 2,
+static const hg_sample clamp_samples[] = { UNARY_SAMPLES(-0.6, 0.9,
                                                          .attributes = &(const unary_attributes){ { -0.5, 0.75 } }) };
 
 UNARY_OP(scale, "p x + q", sizeof(unary_attributes), scale_samples, NULL);

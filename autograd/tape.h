@@ -38,6 +38,9 @@ hg_status hg_add_partials(hg_ctx *ctx, hg_dtype dtype, int64_t count, int64_t si
 /* Overwrites or adds: out = or += from. */
 hg_status hg_accumulate(hg_ctx *ctx, hg_dtype dtype, int64_t count, const void *from, void *out, bool fresh);
 
+/* Input i of a sample as a new step tensor of dtype (i32 stays i32), with its values. */
+hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype dtype);
+
 /* Emitting shortcuts. */
 int hg_emit_scalar(hg_emitter *emitter, double value);
 int hg_emit_activation(hg_emitter *emitter, hg_activation activation, int value);
