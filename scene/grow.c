@@ -22,8 +22,8 @@ typedef struct {
 static const growth styles[] = {
     { "straight", 0.23, 0.06, 0.30, 0.040, 0.0000, 0.100, 0.010, 0.45, 1.0 },
     { "wavy", 0.25, 0.07, 0.35, 0.040, 0.0055, 0.058, 0.014, 0.60, 0.9 },
-    { "curly", 0.17, 0.08, 0.50, 0.060, 0.0085, 0.036, 0.022, 0.55, 0.3 },
-    { "short", 0.055, 0.10, 0.45, 0.090, 0.0000, 0.100, 0.007, 0.30, 0.5 },
+    { "curly", 0.17, 0.08, 0.50, 0.060, 0.0085, 0.036, 0.022, 0.55, 0.6 },
+    { "short", 0.055, 0.10, 0.45, 0.090, 0.0000, 0.100, 0.007, 0.30, 0.7 },
     { "long", 0.36, 0.06, 0.28, 0.035, 0.0035, 0.110, 0.012, 0.55, 1.0 },
 };
 
@@ -61,7 +61,8 @@ static hg_vec3d combed(const garden *g, hg_vec3d root, hg_vec3d normal, int64_t 
     double side = from.x - part > 0.004 * (chance(g, 2, strand) - 0.5) ? 1 : -1; /* on the parting, chance says which */
     hg_vec3d way = hg_vec3d_make(from.x - part, 0, from.z - z);
     way.x = g->style->parting * (way.x + 0.035 * side * scene_ramp(crown - 0.02, crown + 0.03, from.z));
-    way.y -= 0.35 * hg_vec3d_norm(from) * fmin(1, fmax(0, 1.2 - from.y / 0.08));
+    double aside = fabs(from.x - part) / 0.05, front = scene_ramp(0.02, 0.08, from.z);
+    way.y -= (1 - front * (1 - fmin(aside, 1))) * 0.35 * hg_vec3d_norm(from) * fmin(1, fmax(0, 1.2 - from.y / 0.08));
     way.z -= 0.035 * scene_ramp(crown, 0.09, from.z); /* the front goes back, out of the face */
     way = hg_vec3d_add_scaled(way, -hg_vec3d_dot(way, normal), normal);
     way = hg_vec3d_normalize(way);
@@ -154,10 +155,12 @@ static void draw_together(garden *g)
         hg_vec3d *line = g->line + s * g->points;
         const hg_vec3d *lead = g->line + leader * g->points;
         hg_vec3d apart = hg_vec3d_sub(line[0], lead[0]);
+        double hold = 1; /* a strand that has fallen to the other side of a shoulder is not drawn through it */
         for (int64_t i = 1; i < g->points; i++) {
             double t = (double)i / (double)(g->points - 1), draw = g->style->lock * scene_ramp(0, 1, t);
             hg_vec3d target = hg_vec3d_add_scaled(lead[i], 0.45, apart);
-            line[i] = hg_vec3d_mix(line[i], target, draw);
+            hold = fmin(hold, 1 - scene_ramp(0.02, 0.045, hg_vec3d_distance(line[i], target)));
+            line[i] = hg_vec3d_mix(line[i], target, hold * draw);
         }
     }
 }
@@ -229,7 +232,6 @@ static hg_status garden_plant(garden *g, hg_groom *groom)
         g->line[s * g->points] = scene_point(g->at + 3 * s);
         g->comb[s] = combed(g, g->line[s * g->points], g->normal[s], s);
         g->triangle[s] = -1;
-        hg_scalp_project(body, g->at + 3 * s, groom->root_uv + 2 * s);
     }
     choose_locks(g);
     for (int64_t s = 0; s < g->strands; s++) {
@@ -238,24 +240,6 @@ static hg_status garden_plant(garden *g, hg_groom *groom)
         g->length[s] = g->style->length * fmin(fmax(1 + g->style->variation * spread, 0.6), 1.4);
         g->clearance[s] = g->style->volume * (0.25 + 1.5 * chance(g, 3, s));
     }
-    return HG_OK;
-}
-
-/* What the helix or its lock brought into the body is brought out again: to 1 mm, less near the root. */
-static hg_status clear_body(garden *g, hg_ctx *ctx, hg_groom *groom)
-{
-    for (int round = 0; round < 3; round++)
-        for (int64_t v = 1; v < groom->vertices; v++) {
-            for (int64_t s = 0; s < g->strands; s++)
-                memcpy(g->at + 3 * s, groom->points + 3 * (s * groom->vertices + v), 3 * sizeof *g->at);
-            HG_TRY(closest(g, ctx));
-            for (int64_t s = 0; s < g->strands; s++) {
-                float *p = groom->points + 3 * (s * groom->vertices + v);
-                hg_vec3d out, at = scene_point(p);
-                double distance = distance_at(g, s, at, &out), margin = 0.001;
-                if (distance < margin) scene_put(p, hg_vec3d_add_scaled(at, margin - distance, out));
-            }
-        }
     return HG_OK;
 }
 
@@ -274,8 +258,7 @@ static hg_status garden_grow(garden *g, hg_ctx *ctx, hg_groom *groom)
     HG_TRY(grow_lines(g, ctx));
     draw_together(g);
     HG_TRY(wind_strands(g, groom));
-    HG_TRY(clear_body(g, ctx, groom));
-    groom->body_hash = hg_body_hash(body);
+    HG_TRY(hg_fit_groom(ctx, groom, body, NULL, NULL)); /* binds; what helix or lock brought into the body comes out */
     groom->name = hg_format("%s %llu", g->style->name, (unsigned long long)g->seed);
     return groom->name ? HG_OK : HG_MEMORY;
 }
