@@ -62,8 +62,8 @@ hg_status h5_refused(hg_h5 *file, const char *name, const char *what)
  * is asked for the space before anything is written: a full disk is found here, where it does no harm. */
 hg_status h5_secure(hg_h5 *file, uint64_t more)
 {
-    hsize_t present = 0;
-    if (H5Fget_filesize(file->file, &present) < 0) return h5_refused(file, "/", "file");
+    hsize_t present = 0; /* nothing before the library has made the file */
+    if (file->file >= 0 && H5Fget_filesize(file->file, &present) < 0) return h5_refused(file, "/", "file");
     uint64_t wanted;
     int error = 0;
     if (__builtin_add_overflow((uint64_t)present + 65536, more, &wanted) || wanted > INT64_MAX) error = EFBIG;
@@ -163,6 +163,11 @@ hg_status hg_h5_create(hg_h5 **file, const char *path)
     if (status != HG_OK) {
         hg_free(made->path);
         hg_free(made);
+        return status;
+    }
+    status = h5_secure(made, 0);
+    if (status != HG_OK) {
+        hg_h5_close(made);
         return status;
     }
     hid_t access = access_list(), creation = H5Pcreate(H5P_FILE_CREATE);

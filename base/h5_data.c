@@ -140,7 +140,7 @@ hg_status hg_h5_reserve(hg_h5 *file, const char *name, hg_dtype dtype, int rank,
     return make(file, name, stored_as(dtype), rank, shape, NULL);
 }
 
-/* Selects rows [first, first + count) of a dataset; the memory space has their size. */
+/* Selects rows [count, first) of a dataset; the memory space has their size. */
 static bool select_rows(hid_t space, int64_t first, int64_t count, hid_t *memory)
 {
     hsize_t sizes[H5S_MAX_RANK], start[H5S_MAX_RANK] = { 0 };
@@ -167,8 +167,8 @@ hg_status hg_h5_write_rows(hg_h5 *file, const char *name, int64_t first, int64_t
     if (space < 0 || native < 0)
         status = h5_refused(file, name, "dataset");
     else if (!select_rows(space, first, count, &memory))
-        status = hg_fail(HG_INVALID, "%s: dataset \"%s\": rows %" PRId64 " to %" PRId64 " are outside of it",
-                         file->path, name, first, first + count);
+        status = hg_fail(HG_INVALID, "%s: dataset \"%s\": %" PRId64 " rows from row %" PRId64 " are outside of it",
+                         file->path, name, count, first);
     else if (count > 0 && H5Sget_select_npoints(space) > 0 &&
              H5Dwrite(dataset, native, memory, space, H5P_DEFAULT, data) < 0)
         status = h5_refused(file, name, "dataset");
@@ -390,8 +390,9 @@ hg_status hg_h5_read_rows(hg_h5 *file, const char *name, hg_dtype dtype, int64_t
     hid_t space = H5Dget_space(dataset), memory = -1;
     hg_status status;
     if (space < 0 || !select_rows(space, first, count, &memory))
-        status = hg_fail(HG_INVALID, "%s: dataset \"%s\": rows %" PRId64 " to %" PRId64 " are outside of its %" PRId64,
-                         file->path, name, first, first + count, rank > 0 ? shape[0] : 0);
+        status =
+            hg_fail(HG_INVALID, "%s: dataset \"%s\": %" PRId64 " rows from row %" PRId64 " are outside of its %" PRId64,
+                    file->path, name, count, first, rank > 0 ? shape[0] : 0);
     else
         status = fetch(file, name, dataset, memory, space, stored_as(dtype), shape[0] == 0 ? 0 : all / shape[0] * count,
                        data);

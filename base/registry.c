@@ -89,7 +89,7 @@ static int distance(const char *a, const char *b)
 /* How far `known` is from `name`, or -1 when it is too far to be what was meant. */
 static int nearness(const char *name, const char *known)
 {
-    size_t length = strlen(name), other = strlen(known), longer = length > other ? length : other;
+    size_t length = strnlen(name, 63), other = strnlen(known, 63), longer = length > other ? length : other;
     int steps = distance(name, known);
     if (steps <= (int)(longer + 2) / 3) return steps;
     size_t shorter = length < other ? length : other;
