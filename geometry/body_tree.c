@@ -258,6 +258,8 @@ void hg_body_tree_destroy(hg_body_tree *tree)
 
 int64_t hg_body_tree_faces(const hg_body_tree *tree) { return tree->n_faces; }
 
+int64_t hg_body_tree_vertices(const hg_body_tree *tree) { return tree->n_vertices; }
+
 /* ---- one triangle ---- */
 
 hg_body_place hg_body_place_on_triangle(hg_vec3d p, hg_vec3d a, hg_vec3d b, hg_vec3d c)

@@ -22,6 +22,7 @@ typedef struct hg_body_refit hg_body_refit;                      /* boxes, verti
 hg_status hg_body_tree_create(hg_body_tree **tree, int64_t n_vertices, const double *rest_vertices /* [N,3] */, int64_t n_faces, const int32_t *faces /* [F,3] */);
 void      hg_body_tree_destroy(hg_body_tree *tree);
 int64_t   hg_body_tree_faces(const hg_body_tree *tree);
+int64_t   hg_body_tree_vertices(const hg_body_tree *tree);
 hg_status hg_body_refit_create(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype);
 void      hg_body_refit_destroy(hg_body_refit *refit);
 hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices /* [N,3], dtype of the refit */);

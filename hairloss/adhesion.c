@@ -8,6 +8,7 @@
  *
  * Source: Neuralocks eq. 8. */
 #include "hairloss/hairloss.h"
+
 #include "autograd/trace/names.h"
 
 static scalar adhesion(void)
@@ -16,9 +17,7 @@ static scalar adhesion(void)
     return mul(param("stiffness"), square(distance()));
 }
 
-HG_ENERGY(adhesion,
-          .equation = "k |x_i - x_j|^2, or k (|x_i - x_j| - d_rest)^2",
-          .source = "Neuralocks eq. 8",
+HG_ENERGY(adhesion, .equation = "k |x_i - x_j|^2, or k (|x_i - x_j| - d_rest)^2", .source = "Neuralocks eq. 8",
           .site = { HG_SITE_PAIRS, 2 },
           .params = { { "stiffness", 1e-6, "N/m", "of one pair" },
                       { "radius", 0.003, "m", "within which pairs are made at rest" },

@@ -44,4 +44,19 @@ static inline void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from
     return to;
 }
 
+/* The groom attributes that a formula asks for, in the precision of the pass. */
+static inline hg_status hg_pass_attributes(const hg_pass_setup *setup, int64_t n, int n_attributes, char *const *names,
+                                           void **values)
+{
+    for (int a = 0; a < n_attributes; a++) {
+        const double *from = hg_groom_attribute_find(setup->data, names[a]);
+        if (!from)
+            return hg_fail(HG_INVALID, "energy '%s' asks for the groom attribute '%s', which the groom does not have",
+                           setup->term.energy->name, names[a]);
+        values[a] = hg_pass_values(setup->dtype, n, from);
+        if (!values[a]) return HG_MEMORY;
+    }
+    return HG_OK;
+}
+
 #endif

@@ -274,7 +274,7 @@ static hg_status check_frame(const hg_physics *p, const hg_frame *frame, const h
 {
     const int64_t B = x->rank == 4 ? x->shape[0] : 1, S = p->data.strands, V = p->data.vertices;
     const int64_t vertices[4] = { B, S, V, 3 }, rotation[3] = { B, S, 4 }, position[3] = { B, S, 3 },
-                  body[3] = { B, -1, 3 };
+                  body[3] = { B, p->data.body ? hg_body_tree_vertices(p->data.body) : -1, 3 };
     HG_TRY(check(p, x, "x", 4, vertices));
     HG_TRY(check(p, frame->root_rotation, "root_rotation", 3, rotation));
     HG_TRY(check(p, frame->root_position, "root_position", 3, position));

@@ -89,26 +89,23 @@ static hg_status make_functions(field_pass *pass, const hg_pass_setup *setup)
 
     hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_FIELD);
     uint32_t kinds = 0;
-    const char *attributes[HG_PASS_ATTRIBUTES];
+    char *attributes[HG_PASS_ATTRIBUTES] = { NULL };
     HG_TRY(hg_formula_inputs(energy->trace, &scope, &kinds, &pass->n_attributes, attributes));
     hg_pass_inputs *inputs = &pass->inputs;
-    int64_t values = pass->grooms * pass->strands * pass->vertices;
     pass->field_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD }, 0.0);
     pass->field_rest_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD_REST }, 0.0);
     pass->mass_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_MASS }, 0.0);
-    for (int a = 0; a < pass->n_attributes; a++) {
-        const double *from = hg_groom_attribute_find(setup->data, attributes[a]);
-        if (!from)
-            return hg_fail(HG_INVALID, "%s: asks for the groom attribute \"%s\", which the groom does not have",
-                           energy->name, attributes[a]);
+    for (int a = 0; a < pass->n_attributes; a++)
         pass->attribute_input[a] =
             hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .name = (int16_t)a }, 0.0);
-        pass->attribute_values[a] = hg_pass_values(pass->dtype, values, from);
-        if (!pass->attribute_values[a]) return HG_MEMORY;
-    }
     hg_pass_inputs_add_uniform(inputs, &setup->term);
-    return hg_function_create_named(&pass->function, energy->trace, &scope, 1, &pass->field_input, inputs->n,
-                                    inputs->inputs, pass->n_attributes, attributes);
+    hg_status status = hg_pass_attributes(setup, pass->grooms * pass->strands * pass->vertices, pass->n_attributes,
+                                          attributes, pass->attribute_values);
+    if (status == HG_OK)
+        status = hg_function_create_named(&pass->function, energy->trace, &scope, 1, &pass->field_input, inputs->n,
+                                          inputs->inputs, pass->n_attributes, (const char *const *)attributes);
+    for (int a = 0; a < pass->n_attributes; a++) hg_free(attributes[a]);
+    return status;
 }
 
 /* The rest field: given, or the same sums over the rest groom, in double whatever the pass. */

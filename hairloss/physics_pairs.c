@@ -111,16 +111,17 @@ static hg_status make_function(pairs_pass *pass, const hg_pass_setup *setup)
     hg_trace_scope scope;
     hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_PAIRS);
     uint32_t kinds = 0;
-    const char *attributes[HG_PASS_ATTRIBUTES];
+    char *attributes[HG_PASS_ATTRIBUTES] = { NULL };
     HG_TRY(hg_formula_inputs(setup->term.energy->trace, &scope, &kinds, &pass->n_attributes, attributes));
 
     hg_pass_inputs *inputs = &pass->inputs;
+    hg_status status = HG_OK;
     pass->distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_DISTANCE }, 0.0);
     pass->rest_distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_REST_DISTANCE }, 0.0);
     pass->mass[0] = pass->mass[1] = -1;
     if (kinds & HG_ALLOW(HG_INPUT_MASS)) {
         pass->mass_values = hg_pass_values(setup->dtype, values, data->mass);
-        if (!pass->mass_values) return HG_MEMORY;
+        if (!pass->mass_values) status = HG_MEMORY;
     }
     for (int side = 0; side < 2; side++) { /* the last vertex of a site is offset 0 */
         int16_t offset = (int16_t)(side - 1);
@@ -130,17 +131,15 @@ static hg_status make_function(pairs_pass *pass, const hg_pass_setup *setup)
             pass->attribute[a][side] = hg_pass_inputs_add(
                 inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .offset = offset, .name = (int16_t)a }, 0.0);
     }
-    for (int a = 0; a < pass->n_attributes; a++) {
-        const double *from = hg_groom_attribute_find(data, attributes[a]);
-        if (!from)
-            return hg_fail(HG_INVALID, "%s: asks for the groom attribute \"%s\", which the groom does not have",
-                           setup->term.energy->name, attributes[a]);
-        pass->attribute_values[a] = hg_pass_values(setup->dtype, values, from);
-        if (!pass->attribute_values[a]) return HG_MEMORY;
-    }
     hg_pass_inputs_add_uniform(inputs, &setup->term);
-    return hg_function_create_named(&pass->function, setup->term.energy->trace, &scope, 1, &pass->distance, inputs->n,
-                                    inputs->inputs, pass->n_attributes, attributes);
+    if (status == HG_OK)
+        status = hg_pass_attributes(setup, values, pass->n_attributes, attributes, pass->attribute_values);
+    if (status == HG_OK)
+        status =
+            hg_function_create_named(&pass->function, setup->term.energy->trace, &scope, 1, &pass->distance, inputs->n,
+                                     inputs->inputs, pass->n_attributes, (const char *const *)attributes);
+    for (int a = 0; a < pass->n_attributes; a++) hg_free(attributes[a]);
+    return status;
 }
 
 static hg_status pairs_create(void **self, const hg_pass_setup *setup)

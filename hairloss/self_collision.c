@@ -8,14 +8,15 @@
  * every vertex as 1; `kg` weighs it with its mass, as the papers' formula reads, and needs a k that is larger by
  * 1 / mass^3. */
 #include "hairloss/hairloss.h"
+
 #include "autograd/trace/names.h"
 
 static scalar kernel(void)
 {
-    scalar s = div(distance(), param("h"));
+    scalar s = divide(distance(), param("h"));
     scalar inner = add(4, mul(square(s), sub(mul(3, s), 6)));
-    scalar rest = max(0, sub(2, s));
-    return select(less(s, 1), inner, mul(rest, square(rest)));
+    scalar outer = max(0, sub(2, s));
+    return select(less(s, 1), inner, mul(outer, square(outer)));
 }
 
 static scalar self_collision(void)
@@ -24,14 +25,9 @@ static scalar self_collision(void)
     return mul(param("stiffness"), mul(excess, square(excess)));
 }
 
-HG_ENERGY(self_collision,
-          .equation = "k max(rho - rho_rest, 0)^3, rho_i = sum_j m_j W(|x_i - x_j|, h)",
-          .source = "Neuralocks eq. 5, Quaffure eq. 11-13",
-          .site = { HG_SITE_FIELD, 1 },
-          .params = { { "stiffness", 1e-10, "J", "energy at one hair vertex too many, with kernel mass 1" },
+HG_ENERGY(self_collision, .equation = "k max(rho - rho_rest, 0)^3, rho_i = sum_j m_j W(|x_i - x_j|, h)",
+          .source = "Neuralocks eq. 5, Quaffure eq. 11-13", .site = { HG_SITE_FIELD, 1 },
+          .params = { { "stiffness", 1e-10, "J", "energy of a vertex whose density exceeds that at rest by 1" },
                       { "h", 0.0025, "m", "half of the support; 25 to 35 neighbours within 2 h are usual" } },
-          .options = { { "kernel_mass", "unit|kg", "unit", "what a vertex counts in the density" } },
-          .kernel = kernel,
-          .reach = "h",
-          .zero_at_rest = true,
-          .rigid_invariant = true);
+          .options = { { "kernel_mass", "unit|kg", "unit", "what a vertex counts in the density" } }, .kernel = kernel,
+          .reach = "h", .zero_at_rest = true, .rigid_invariant = true);
