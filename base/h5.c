@@ -105,6 +105,9 @@ static hid_t access_list(void)
     hid_t list = H5Pcreate(H5P_FILE_ACCESS);
     if (list < 0) return list;
     H5Pset_fclose_degree(list, H5F_CLOSE_STRONG);
+    /* The format since 1.8 has checksums on all that describes the data: a damaged file is refused, where the library
+     * could crash on a damaged one of the older format. */
+    H5Pset_libver_bounds(list, H5F_LIBVER_V18, H5F_LIBVER_V18);
 #if H5_VERSION_GE(1, 10, 7)
     H5Pset_file_locking(list, false, true); /* files are replaced whole, and some shared disks refuse locks */
 #endif

@@ -7,12 +7,13 @@
 
 #include <string.h>
 
-#define DIRECTIONS 48
-#define EXPOSED    0.05 /* least part of a face's pixels, over the pictures that it faces, that nothing hides */
-#define PIXELS     512  /* of a picture's side: about 1.5 mm for head and shoulders */
+#define DIRECTIONS  48
+#define EXPOSED     0.05 /* least part of a face's pixels, over the pictures that it faces, that nothing hides */
+#define MOST_PIXELS 512  /* of a picture's side: about 1.5 mm for head and shoulders; small meshes need fewer */
 
 typedef struct {
     hg_vec3d centre, across, up, towards;
+    int side;     /* in pixels */
     double scale; /* pixels per metre */
     float *depth;
     int32_t *owner;
@@ -25,16 +26,16 @@ static void draw(picture *to, const float *vertices, const int32_t *corner, int3
     for (int k = 0; k < 3; k++) {
         const float *v = vertices + 3 * (int64_t)corner[k];
         hg_vec3d p = hg_vec3d_sub(hg_vec3d_make((double)v[0], (double)v[1], (double)v[2]), to->centre);
-        x[k] = hg_vec3d_dot(p, to->across) * to->scale + 0.5 * PIXELS;
-        y[k] = hg_vec3d_dot(p, to->up) * to->scale + 0.5 * PIXELS;
+        x[k] = hg_vec3d_dot(p, to->across) * to->scale + 0.5 * to->side;
+        y[k] = hg_vec3d_dot(p, to->up) * to->scale + 0.5 * to->side;
         z[k] = hg_vec3d_dot(p, to->towards);
     }
     double area = (x[1] - x[0]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[1] - y[0]);
     double left = fmin(x[0], fmin(x[1], x[2])), right = fmax(x[0], fmax(x[1], x[2]));
     double bottom = fmin(y[0], fmin(y[1], y[2])), top = fmax(y[0], fmax(y[1], y[2]));
-    if (area < 1e-9 || !(right >= 0.5 && left <= PIXELS - 0.5 && top >= 0.5 && bottom <= PIXELS - 0.5)) return;
-    int column_first = (int)ceil(fmax(left, 0.5) - 0.5), column_last = (int)floor(fmin(right, PIXELS - 0.5) - 0.5);
-    int row_first = (int)ceil(fmax(bottom, 0.5) - 0.5), row_last = (int)floor(fmin(top, PIXELS - 0.5) - 0.5);
+    if (area < 1e-9 || !(right >= 0.5 && left <= to->side - 0.5 && top >= 0.5 && bottom <= to->side - 0.5)) return;
+    int column_first = (int)ceil(fmax(left, 0.5) - 0.5), column_last = (int)floor(fmin(right, to->side - 0.5) - 0.5);
+    int row_first = (int)ceil(fmax(bottom, 0.5) - 0.5), row_last = (int)floor(fmin(top, to->side - 0.5) - 0.5);
     for (int row = row_first; row <= row_last; row++)
         for (int column = column_first; column <= column_last; column++) {
             double px = column + 0.5 - x[0], py = row + 0.5 - y[0];
@@ -43,7 +44,7 @@ static void draw(picture *to, const float *vertices, const int32_t *corner, int3
             if (b < 0 || c < 0 || b + c > 1) continue;
             float depth = (float)(z[0] + b * (z[1] - z[0]) + c * (z[2] - z[0]));
             to->covered[face]++;
-            int64_t pixel = (int64_t)row * PIXELS + column;
+            int64_t pixel = (int64_t)row * to->side + column;
             if (to->owner[pixel] >= 0 && depth <= to->depth[pixel]) continue;
             to->depth[pixel] = depth;
             to->owner[pixel] = face;
@@ -57,9 +58,9 @@ static void look(picture *to, int direction, const float *vertices, int64_t n_fa
     to->towards = hg_vec3d_make(radius * cos(turn), height, radius * sin(turn));
     to->across = hg_vec3d_perpendicular(to->towards);
     to->up = hg_vec3d_cross(to->towards, to->across);
-    for (int64_t i = 0; i < (int64_t)PIXELS * PIXELS; i++) to->owner[i] = -1;
+    for (int64_t i = 0; i < (int64_t)to->side * to->side; i++) to->owner[i] = -1;
     for (int64_t f = 0; f < n_faces; f++) draw(to, vertices, faces + 3 * f, (int32_t)f);
-    for (int64_t i = 0; i < (int64_t)PIXELS * PIXELS; i++)
+    for (int64_t i = 0; i < (int64_t)to->side * to->side; i++)
         if (to->owner[i] >= 0) to->owned[to->owner[i]]++;
 }
 
@@ -77,9 +78,10 @@ hg_status scene_visible_faces(const char *path, int64_t n_vertices, const float 
     if (!(radius > 0) || !isfinite(radius))
         return hg_fail(HG_NUMERIC, "%s: the faces that hair could reach span %g m", path, 2 * radius);
 
-    picture to = { .centre = hg_vec3d_mix(low, high, 0.5), .scale = 0.5 * PIXELS / radius };
-    to.depth = hg_alloc((size_t)PIXELS * PIXELS, sizeof *to.depth);
-    to.owner = hg_alloc((size_t)PIXELS * PIXELS, sizeof *to.owner);
+    int side = (int)fmin(MOST_PIXELS, 32 + 4 * sqrt((double)n_faces));
+    picture to = { .centre = hg_vec3d_mix(low, high, 0.5), .side = side, .scale = 0.5 * side / radius };
+    to.depth = hg_alloc((size_t)to.side * (size_t)to.side, sizeof *to.depth);
+    to.owner = hg_alloc((size_t)to.side * (size_t)to.side, sizeof *to.owner);
     to.covered = hg_alloc((size_t)n_faces, sizeof *to.covered);
     to.owned = hg_alloc((size_t)n_faces, sizeof *to.owned);
     uint8_t *seen = hg_alloc((size_t)n_faces, 1), *near = hg_alloc((size_t)n_vertices, 1);
