@@ -142,7 +142,10 @@ static hg_status refuse(const char *name, const yaml_parser_t *parser)
     if (parser->error == YAML_MEMORY_ERROR) return hg_fail(HG_MEMORY, "%s: the system has no memory left", name);
     if (parser->error == YAML_READER_ERROR)
         return hg_fail(HG_FORMAT, "%s: byte %zu is not valid text (%s)", name, parser->problem_offset, problem);
-    return hg_fail(HG_FORMAT, "%s:%zu: not valid YAML (%s)", name, parser->problem_mark.line + 1, problem);
+    if (parser->context == NULL)
+        return hg_fail(HG_FORMAT, "%s:%zu: not valid YAML (%s)", name, parser->problem_mark.line + 1, problem);
+    return hg_fail(HG_FORMAT, "%s:%zu: not valid YAML (%s, %s that begins in line %zu)", name,
+                   parser->problem_mark.line + 1, problem, parser->context, parser->context_mark.line + 1);
 }
 
 hg_status config_read(hg_config *config, const char *text, size_t size)
