@@ -143,7 +143,8 @@ static void draw_curve(hg_image *image, const field *f, const hg_curve *curve, i
 {
     if (curve->n == 1 && isfinite(curve->x[0]) && isfinite(curve->y[0])) {
         double x = across(f, curve->x[0]), y = down(f, curve->y[0]);
-        hg_draw_line(image, x, y, x, y, 5.0 * scale, rgb);
+        hg_draw_line(image, x, y, x, y, 5.5 * scale, ink); /* a dark rim, to be seen on its own path */
+        hg_draw_line(image, x, y, x, y, 4.0 * scale, rgb);
     }
     for (int64_t i = 0; i + 1 < curve->n; i++) {
         double p[4] = { across(f, curve->x[i]), down(f, curve->y[i]), across(f, curve->x[i + 1]),
@@ -153,6 +154,19 @@ static void draw_curve(hg_image *image, const field *f, const hg_curve *curve, i
     }
 }
 
+/* How many points of the curves lie in a box. */
+static int64_t points_in(const field *f, int n, const hg_curve *curves, int x, int y, int width, int height)
+{
+    int64_t count = 0;
+    for (int c = 0; c < n; c++)
+        for (int64_t i = 0; i < curves[c].n; i++) {
+            double px = across(f, curves[c].x[i]) - x, py = down(f, curves[c].y[i]) - y;
+            count += px > 0.0 && py > 0.0 && px < width && py < height;
+        }
+    return count;
+}
+
+/* In the corner where it hides least. */
 static void draw_legend(hg_image *image, const field *f, int scale, int n, const hg_curve *curves)
 {
     int widest = 0, rows = 0, line = 11 * scale;
@@ -163,8 +177,15 @@ static void draw_legend(hg_image *image, const field *f, int scale, int n, const
         rows++;
     }
     if (rows == 0) return;
-    int width = widest + 24 * scale, x = f->left + f->width - width - 4 * scale, y = f->top + 4 * scale;
-    hg_draw_rectangle(image, x, y, width, rows * line + 4 * scale, paper, 0.85f);
+    int width = widest + 24 * scale, height = rows * line + 4 * scale, x = 0, y = 0;
+    int64_t fewest = INT64_MAX;
+    for (int corner = 0; corner < 4; corner++) {
+        int left = corner & 1 ? f->left + 4 * scale : f->left + f->width - width - 4 * scale;
+        int top = corner & 2 ? f->top + f->height - height - 4 * scale : f->top + 4 * scale;
+        int64_t hidden = points_in(f, n, curves, left, top, width, height);
+        if (hidden < fewest) fewest = hidden, x = left, y = top;
+    }
+    hg_draw_rectangle(image, x, y, width, height, paper, 0.85f);
     for (int c = 0, row = 0; c < n; c++) {
         if (!curves[c].name || !curves[c].name[0]) continue;
         int top = y + 4 * scale + line * row++;
@@ -197,7 +218,9 @@ hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const ch
     if (equal_axes) equalise(&f);
     hg_draw_rectangle(image, x, y, width, height, paper, 1.0f);
     draw_axes(image, &f, scale);
-    for (int c = 0; c < n; c++) draw_curve(image, &f, &curves[c], scale, colour_of(curves, c));
+    for (int dots = 0; dots < 2; dots++) /* dots over lines */
+        for (int c = 0; c < n; c++)
+            if ((curves[c].n == 1) == (dots == 1)) draw_curve(image, &f, &curves[c], scale, colour_of(curves, c));
     draw_legend(image, &f, scale, n, curves);
     if (title) hg_image_text(image, x + (width - hg_text_width(title, scale)) / 2, y + 6 * scale, scale, ink, title);
     if (x_label)

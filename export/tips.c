@@ -29,7 +29,8 @@ static double length_of(const hg_source *s, int64_t strand)
     return length;
 }
 
-/* The longest strand of each quarter of the head: front or back, left or right of the roots' middle. -1: none. */
+/* The longest strand of each diagonal of the head, within a sixth of a turn: front or back, left or right of the roots'
+ * middle. -1: there is none. */
 static void choose(const hg_source *s, int64_t chosen[TIPS])
 {
     double middle[2] = { 0.0, 0.0 }, longest[TIPS] = { 0 };
@@ -40,7 +41,10 @@ static void choose(const hg_source *s, int64_t chosen[TIPS])
     for (int k = 0; k < TIPS; k++) chosen[k] = -1;
     for (int64_t i = 0; i < s->strands; i++) {
         const float *root = s->rest + 3 * i * s->vertices;
-        int quarter = ((double)root[2] < middle[1] ? 2 : 0) + ((double)root[0] < middle[0] ? 1 : 0);
+        double left = (double)root[0] - middle[0], ahead = (double)root[2] - middle[1];
+        double slant = atan2(fabs(ahead), fabs(left));
+        if (hypot(left, ahead) < 0.02 || fabs(slant - 0.785) > 0.524) continue;
+        int quarter = (ahead < 0.0 ? 2 : 0) + (left < 0.0 ? 1 : 0);
         double length = length_of(s, i);
         if (length > longest[quarter]) longest[quarter] = length, chosen[quarter] = i;
     }
