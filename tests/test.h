@@ -5,7 +5,6 @@
 #include "base/base.h"
 
 #include <dirent.h>
-#include <ftw.h>
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -34,16 +33,28 @@ __attribute__((unused)) static int test_folder_make(void **state)
     return mkdtemp(test_folder_path) == NULL ? -1 : 0;
 }
 
-__attribute__((unused)) static int test_remove_one(const char *path, const struct stat *about, int kind, struct FTW *at)
+__attribute__((unused)) static void test_remove_all(const char *path)
 {
-    (void)about, (void)kind, (void)at;
-    return remove(path);
+    DIR *folder = opendir(path);
+    for (struct dirent *entry; folder != NULL && (entry = readdir(folder)) != NULL;) {
+        if (strcmp(entry->d_name, ".") == 0 || strcmp(entry->d_name, "..") == 0) continue;
+        char *inside = hg_path_join(path, entry->d_name);
+        struct stat about;
+        if (lstat(inside, &about) == 0 && S_ISDIR(about.st_mode))
+            test_remove_all(inside);
+        else
+            unlink(inside);
+        hg_free(inside);
+    }
+    if (folder != NULL) closedir(folder);
+    rmdir(path);
 }
 
 __attribute__((unused)) static int test_folder_remove(void **state)
 {
     (void)state;
-    return nftw(test_folder_path, test_remove_one, 16, FTW_DEPTH | FTW_PHYS);
+    test_remove_all(test_folder_path);
+    return 0;
 }
 
 __attribute__((unused)) static void test_file_is(const char *path, const char *text)
