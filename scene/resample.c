@@ -18,13 +18,25 @@ static hg_vec3d hermite_at(const hermite *h, double u)
     return hg_vec3d_add_scaled(x, u3 - u2, h->m1);
 }
 
-/* The segment from point i to i + 1. Beyond the ends the curve goes on as its end segment mirrored at the end point. */
+/* The point before a, of a curve that goes on through a, b, c: the mirror image of c in the plane half way between a and
+ * b, which keeps the curvature of the end (a circle stays one). */
+static hg_vec3d mirrored(hg_vec3d a, hg_vec3d b, hg_vec3d c)
+{
+    hg_vec3d axis = hg_vec3d_normalize(hg_vec3d_sub(b, a));
+    double across = hg_vec3d_dot(hg_vec3d_sub(c, hg_vec3d_mix(a, b, 0.5)), axis);
+    return hg_vec3d_add_scaled(c, -2 * across, axis);
+}
+
+/* The segment from point i to i + 1. */
 static hermite hermite_segment(const double *points, int64_t n, int64_t i)
 {
     hg_vec3d p[4];
     p[1] = hg_vec3d_load(points + 3 * i), p[2] = hg_vec3d_load(points + 3 * (i + 1));
-    p[0] = i > 0 ? hg_vec3d_load(points + 3 * (i - 1)) : hg_vec3d_sub(hg_vec3d_scale(p[1], 2), p[2]);
-    p[3] = i + 2 < n ? hg_vec3d_load(points + 3 * (i + 2)) : hg_vec3d_sub(hg_vec3d_scale(p[2], 2), p[1]);
+    p[0] = hg_vec3d_sub(hg_vec3d_scale(p[1], 2), p[2]), p[3] = hg_vec3d_sub(hg_vec3d_scale(p[2], 2), p[1]);
+    if (i > 0) p[0] = hg_vec3d_load(points + 3 * (i - 1));
+    if (i + 2 < n) p[3] = hg_vec3d_load(points + 3 * (i + 2));
+    if (i == 0 && n > 2) p[0] = mirrored(p[1], p[2], p[3]);
+    if (i + 2 == n && n > 2) p[3] = mirrored(p[2], p[1], p[0]);
     double t01 = sqrt(hg_vec3d_distance(p[0], p[1])), t12 = sqrt(hg_vec3d_distance(p[1], p[2]));
     double t23 = sqrt(hg_vec3d_distance(p[2], p[3]));
     hg_vec3d slope = hg_vec3d_scale(hg_vec3d_sub(p[2], p[1]), 1 / t12);
