@@ -105,9 +105,6 @@ static hid_t access_list(void)
     hid_t list = H5Pcreate(H5P_FILE_ACCESS);
     if (list < 0) return list;
     H5Pset_fclose_degree(list, H5F_CLOSE_STRONG);
-    /* The format since 1.8 has checksums on all that describes the data: a damaged file is refused, where the library
-     * could crash on a damaged one of the older format. */
-    H5Pset_libver_bounds(list, H5F_LIBVER_V18, H5F_LIBVER_V18);
 #if H5_VERSION_GE(1, 10, 7)
     H5Pset_file_locking(list, false, true); /* files are replaced whole, and some shared disks refuse locks */
 #endif
@@ -174,6 +171,9 @@ hg_status hg_h5_create(hg_h5 **file, const char *path)
         return status;
     }
     hid_t access = access_list(), creation = H5Pcreate(H5P_FILE_CREATE);
+    /* The format since 1.8 has checksums on all that describes the data: a damaged file is refused, where the library
+     * could crash on a damaged one of the older format. */
+    if (access >= 0) H5Pset_libver_bounds(access, H5F_LIBVER_V18, H5F_LIBVER_V18);
     if (creation >= 0) H5Pset_obj_track_times(creation, false);
     made->file = H5Fcreate(made->temporary, H5F_ACC_TRUNC, creation, access);
     if (creation >= 0) H5Pclose(creation);
@@ -285,11 +285,35 @@ bool hg_h5_has(hg_h5 *file, const char *name)
     return found;
 }
 
-hid_t h5_parents(void)
+/* Makes the first `length` characters of a path a group, one component after the other, since the library would give
+ * those on the way their time of making. */
+static bool make_groups(hg_h5 *file, const char *name, size_t length)
 {
-    hid_t list = H5Pcreate(H5P_LINK_CREATE);
-    if (list >= 0) H5Pset_create_intermediate_group(list, 1);
-    return list;
+    hid_t creation = H5Pcreate(H5P_GROUP_CREATE);
+    char *path = hg_format("%.*s", (int)length, name);
+    bool done = creation >= 0 && path != NULL && H5Pset_obj_track_times(creation, false) >= 0;
+    for (char *at = path; done; at++) {
+        if (*at != '/' && *at != '\0') continue;
+        char kept = *at;
+        *at = '\0';
+        if (at != path && !hg_h5_has(file, path)) {
+            hid_t group = H5Gcreate2(file->file, path, H5P_DEFAULT, creation, H5P_DEFAULT);
+            done = group >= 0;
+            if (done) H5Gclose(group);
+        }
+        *at = kept;
+        if (kept == '\0') break;
+    }
+    hg_free(path);
+    if (creation >= 0) H5Pclose(creation);
+    return done;
+}
+
+hg_status h5_parents(hg_h5 *file, const char *name)
+{
+    const char *slash = strrchr(name, '/');
+    if (slash == NULL || slash == name) return HG_OK;
+    return make_groups(file, name, (size_t)(slash - name)) ? HG_OK : h5_refused(file, name, "group of");
 }
 
 hg_status hg_h5_group(hg_h5 *file, const char *name)
@@ -297,12 +321,7 @@ hg_status hg_h5_group(hg_h5 *file, const char *name)
     HG_TRY(h5_writable(file, name));
     if (hg_h5_has(file, name)) return HG_OK;
     HG_TRY(h5_secure(file, 0));
-    hid_t parents = h5_parents();
-    hid_t group = H5Gcreate2(file->file, name, parents, H5P_DEFAULT, H5P_DEFAULT);
-    if (parents >= 0) H5Pclose(parents);
-    if (group < 0) return h5_refused(file, name, "group");
-    H5Gclose(group);
-    return HG_OK;
+    return make_groups(file, name, strlen(name)) ? HG_OK : h5_refused(file, name, "group");
 }
 
 typedef struct {

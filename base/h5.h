@@ -20,8 +20,8 @@ void h5_quiet(void);
 /* The library refused: HG_IO for a file that is written (it will not be committed), HG_FORMAT for one that is read. */
 hg_status h5_refused(hg_h5 *file, const char *name, const char *what);
 hg_status h5_writable(hg_h5 *file, const char *name);
-hg_status h5_secure(hg_h5 *file, uint64_t more); /* takes the disk space for what is there and `more` bytes */
-hid_t h5_parents(void);                          /* a link list that makes the groups on the way */
+hg_status h5_secure(hg_h5 *file, uint64_t more);     /* takes the disk space for what is there and `more` bytes */
+hg_status h5_parents(hg_h5 *file, const char *name); /* makes the groups on the way to a name */
 /* Opens a dataset that is read, after checking that it is one, is stored in this file, and is no larger than the file
  * can hold. Sizes beyond rank are 1. */
 hg_status h5_dataset(hg_h5 *file, const char *name, hid_t *dataset, int *rank, int64_t shape[6], int64_t *count);

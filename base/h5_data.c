@@ -101,20 +101,20 @@ static hg_status make(hg_h5 *file, const char *name, stored as, int rank, const 
         return hg_fail(HG_INVALID, "%s: dataset \"%s\" is larger than a file can be", file->path, name);
     if (hg_h5_has(file, name)) return hg_fail(HG_INVALID, "%s: \"%s\" is written twice", file->path, name);
     HG_TRY(h5_secure(file, empty ? 0 : bytes));
+    HG_TRY(h5_parents(file, name));
     hid_t space = rank == 0 ? H5Screate(H5S_SCALAR) : H5Screate_simple(rank, sizes, NULL);
-    hid_t creation = H5Pcreate(H5P_DATASET_CREATE), parents = h5_parents();
+    hid_t creation = H5Pcreate(H5P_DATASET_CREATE);
     if (creation >= 0) H5Pset_obj_track_times(creation, false);
     if (creation >= 0 && data == NULL) H5Pset_alloc_time(creation, H5D_ALLOC_TIME_EARLY);
     hid_t dataset = space < 0 || creation < 0
                         ? -1
-                        : H5Dcreate2(file->file, name, file_type(as), space, parents, creation, H5P_DEFAULT);
+                        : H5Dcreate2(file->file, name, file_type(as), space, H5P_DEFAULT, creation, H5P_DEFAULT);
     bool done = dataset >= 0;
     if (done && as == AS_BF16) done = mark_bf16(dataset) == HG_OK;
     if (done && data != NULL && !empty)
         done = H5Dwrite(dataset, memory_type(as), H5S_ALL, H5S_ALL, H5P_DEFAULT, data) >= 0;
     hg_status status = done ? HG_OK : h5_refused(file, name, "dataset");
     if (dataset >= 0 && H5Dclose(dataset) < 0 && status == HG_OK) status = h5_refused(file, name, "dataset");
-    if (parents >= 0) H5Pclose(parents);
     if (creation >= 0) H5Pclose(creation);
     if (space >= 0) H5Sclose(space);
     return status;

@@ -86,6 +86,7 @@ hg_status hg_h5_write_texts(hg_h5 *file, const char *name, int n, const char *co
     char *packed = hg_alloc((size_t)(n > 0 ? n : 1), length);
     if (packed == NULL) return HG_MEMORY;
     hg_status status = h5_secure(file, (uint64_t)(n > 0 ? n : 1) * length);
+    if (status == HG_OK) status = h5_parents(file, name);
     if (status != HG_OK) {
         hg_free(packed);
         return status;
@@ -93,15 +94,14 @@ hg_status hg_h5_write_texts(hg_h5 *file, const char *name, int n, const char *co
     for (int i = 0; i < n; i++) memcpy(packed + (size_t)i * length, texts[i], strlen(texts[i]));
     hsize_t size = n > 0 ? (hsize_t)n : 0;
     hid_t type = text_type(length, ascii), space = H5Screate_simple(1, &size, NULL),
-          creation = H5Pcreate(H5P_DATASET_CREATE), parents = h5_parents();
+          creation = H5Pcreate(H5P_DATASET_CREATE);
     if (creation >= 0) H5Pset_obj_track_times(creation, false);
     hid_t dataset = type < 0 || space < 0 || creation < 0
                         ? -1
-                        : H5Dcreate2(file->file, name, type, space, parents, creation, H5P_DEFAULT);
+                        : H5Dcreate2(file->file, name, type, space, H5P_DEFAULT, creation, H5P_DEFAULT);
     bool done = dataset >= 0 && (n <= 0 || H5Dwrite(dataset, type, H5S_ALL, H5S_ALL, H5P_DEFAULT, packed) >= 0);
     status = done ? HG_OK : h5_refused(file, name, "list of strings");
     if (dataset >= 0 && H5Dclose(dataset) < 0 && status == HG_OK) status = h5_refused(file, name, "list of strings");
-    if (parents >= 0) H5Pclose(parents);
     if (creation >= 0) H5Pclose(creation);
     if (space >= 0) H5Sclose(space);
     if (type >= 0) H5Tclose(type);
