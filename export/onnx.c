@@ -273,14 +273,14 @@ static int input(void *self, const hg_tensor *tensor)
 
 /* ---- nodes --------------------------------------------------------------------------------------------------- */
 
-/* One attribute of "name=k": i an int, f a double, s a text, I an int and that many int64_t. */
+/* One attribute of "name=k": i an int64_t, f a double, s a text, I an int and that many int64_t. */
 static bool add_attribute(builder *b, Onnx__AttributeProto *attribute, char kind, va_list *arguments)
 {
     switch (kind) {
     case 'i':
         attribute->type = ONNX__ATTRIBUTE_PROTO__ATTRIBUTE_TYPE__INT;
         attribute->has_i = true;
-        attribute->i = va_arg(*arguments, int);
+        attribute->i = va_arg(*arguments, int64_t);
         break;
     case 'f':
         attribute->type = ONNX__ATTRIBUTE_PROTO__ATTRIBUTE_TYPE__FLOAT;

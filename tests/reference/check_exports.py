@@ -1,0 +1,52 @@
+"""Reads what tests/test_onnx wrote into a folder with the tools of others: onnx, ONNX Runtime, VTK."""
+import glob
+import os
+import sys
+
+import numpy as np
+import onnx
+import onnxruntime
+import vtk
+from vtk.util.numpy_support import vtk_to_numpy
+
+folder = sys.argv[1]
+worst = 0.0
+models = sorted(glob.glob(os.path.join(folder, "*.onnx")))
+assert models, "no models"
+for path in models:
+    model = onnx.load(path)
+    onnx.checker.check_model(model, full_check=True)
+    assert model.ir_version == 7 and model.opset_import[0].version == 15
+    assert {p.key: p.value for p in model.metadata_props}["units"] == "metres"
+    session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+    for rows in (1, 7):
+        stem = f"{path[:-5]}.{rows}"
+        x = np.fromfile(stem + ".in", np.float32).reshape(rows, -1)
+        expected = np.fromfile(stem + ".out", np.float32)
+        found = session.run(None, {"features": x})[0]
+        assert found.shape[0] == rows and found.size == expected.size, (stem, found.shape, expected.size)
+        error = np.abs(found.ravel() - expected).max() / max(1.0, np.abs(expected).max())
+        worst = max(worst, error)
+        assert error < 1e-5, f"{stem}: differs by {error:g}"
+print(f"{len(models)} models, 1 and 7 rows: ONNX Runtime {onnxruntime.__version__} differs by at most {worst:.2g}")
+
+for name, cells in (("strands", 4), ("mesh", 2)):
+    reader = vtk.vtkHDFReader()
+    path = os.path.join(folder, name + ".vtkhdf")
+    assert reader.CanReadFile(path)
+    reader.SetFileName(path)
+    reader.UpdateInformation()
+    assert reader.GetNumberOfSteps() == 5
+    for step in range(5):
+        reader.SetStep(step)
+        reader.Update()
+        data = reader.GetOutputDataObject(0)
+        points = vtk_to_numpy(data.GetPoints().GetData())
+        assert np.array_equal(points.ravel(), 1000 * step + np.arange(points.size)), (name, step)
+        assert abs(reader.GetTimeValue() - step / 30) < 1e-9
+        assert data.GetNumberOfCells() == cells
+        if name == "strands":
+            assert data.GetNumberOfLines() == 4 and points.shape == (12, 3)
+            assert np.array_equal(vtk_to_numpy(data.GetPointData().GetArray("strand")), np.repeat(np.arange(4), 3))
+            assert np.array_equal(vtk_to_numpy(data.GetPointData().GetArray("along")), np.tile([0, 0.5, 1], 4))
+print(f"VTK {vtk.vtkVersion().GetVTKVersion()} reads every step of strands and mesh")

@@ -1,0 +1,383 @@
+/* ONNX files: parsed back by protobuf-c here; run by ONNX Runtime in test_export_python.sh, for which this program
+ * writes every formula, its inputs and its outputs into the folder named by HG_ONNX_DUMP. */
+#define _GNU_SOURCE
+#define HG_NO_CALLER
+#include "export/export.h"
+#include "tests/test.h"
+
+#include "onnx.pb-c.h"
+
+#define OK(call_)                                                                                                      \
+    do {                                                                                                               \
+        if ((call_) != HG_OK) fail_msg("%s", hg_message());                                                            \
+    } while (0)
+
+#define COLUMNS 12
+
+/* ---- formulas of one input [n,12] ---------------------------------------------------------------------------- */
+
+/* An owned tensor of numbers in [low, high]; kept for the formula's life. */
+typedef struct {
+    hg_tensor *kept[64];
+    int n;
+} shelf;
+
+static hg_tensor *numbers(shelf *s, hg_ctx *ctx, const char *name, int rank, const int64_t *shape, double low,
+                          double high)
+{
+    hg_tensor *t = hg_tensor_create(ctx, HG_F32, rank, shape);
+    assert_non_null(t);
+    t->name = name;
+    for (int64_t i = 0; i < hg_tensor_count(t); i++)
+        ((float *)t->data)[i] = (float)(low + (high - low) * hg_random_uniform(11, (uint64_t)s->n, (uint64_t)i));
+    assert_true(s->n < 64);
+    return s->kept[s->n++] = t;
+}
+
+#define SHAPE(...)                                                                                                     \
+    (int)(sizeof((int64_t[]){ __VA_ARGS__ }) / sizeof(int64_t)), (int64_t[]) { __VA_ARGS__ }
+
+typedef hg_tensor *(*formula)(void *self, hg_ctx *ctx, hg_tensor *x);
+
+/* A network with every activation, one after another; its first weight is named. */
+static hg_tensor *network(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, "first.weight", SHAPE(COLUMNS, 16), -0.5, 0.5);
+        numbers(s, ctx, "first.bias", SHAPE(16), -0.5, 0.5);
+        for (int a = HG_IDENTITY; a <= HG_SOFTPLUS; a++) numbers(s, ctx, "hidden.weight", SHAPE(16, 16), -0.4, 0.4);
+    }
+    hg_tensor *h = hg_linear(ctx, x, s->kept[0], s->kept[1], HG_SILU);
+    for (int a = HG_IDENTITY; a <= HG_SOFTPLUS; a++) {
+        h = hg_linear(ctx, h, s->kept[2 + a], s->kept[1], (hg_activation)a);
+        h = hg_add(ctx, h, hg_activate(ctx, h, (hg_activation)a));
+    }
+    return h;
+}
+
+static hg_tensor *elementwise(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, NULL, SHAPE(COLUMNS), 0.5, 1.5);
+        numbers(s, ctx, NULL, SHAPE(1, 1), 0.5, 1.5);
+    }
+    hg_tensor *a = hg_div(ctx, hg_sub(ctx, x, s->kept[0]), s->kept[1]);
+    hg_tensor *b = hg_sqrt(ctx, hg_scale(ctx, hg_abs(ctx, hg_mul(ctx, a, x)), 2.0, 0.5));
+    hg_tensor *c = hg_log(ctx, hg_scale(ctx, hg_exp(ctx, x), 1.0, 1.0));
+    hg_tensor *d = hg_maximum(ctx, hg_minimum(ctx, b, c), hg_clamp(ctx, hg_square(ctx, x), 0.1, 0.6));
+    return hg_add(ctx, d, hg_detach(ctx, a));
+}
+
+static hg_tensor *layout(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) numbers(s, ctx, NULL, SHAPE(3, 5), -1, 1);
+    hg_tensor *a = hg_reshape(ctx, x, SHAPE(-1, 4, 3));
+    hg_tensor *b = hg_permute(ctx, a, (int[]){ 0, 2, 1 });
+    hg_tensor *c = hg_matmul(ctx, a, s->kept[0]);                                          /* [n,4,5] */
+    hg_tensor *d = hg_concat(ctx, -1, 2, (hg_tensor *[]){ hg_slice(ctx, c, 2, 1, 3), a }); /* [n,4,6] */
+    hg_tensor *e = hg_pad(ctx, hg_slice(ctx, d, 1, 1, 2), 1, 1, 0);                        /* [n,3,6] */
+    return hg_concat(ctx, 2, 2, (hg_tensor *[]){ e, b });                                  /* [n,3,10] */
+}
+
+static hg_tensor *reductions(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    (void)self;
+    hg_tensor *a = hg_reshape(ctx, x, SHAPE(-1, 4, 3));
+    hg_tensor *b = hg_mul(ctx, a, hg_mean_axis(ctx, a, 1, true));
+    return hg_add(ctx, hg_sum_axis(ctx, b, -1, false), hg_sum_axis(ctx, hg_square(ctx, b), 2, false));
+}
+
+/* The factored first layer: rows of a groom, groups the input; and gathering of rows by a fixed index. */
+static hg_tensor *pairs(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, NULL, SHAPE(7, 8), -1, 1);
+        numbers(s, ctx, NULL, SHAPE(COLUMNS, 8), -1, 1);
+        hg_tensor *index = hg_tensor_create(ctx, HG_I32, SHAPE(5));
+        for (int i = 0; i < 5; i++) ((int32_t *)index->data)[i] = (3 * i + 1) % 7;
+        s->kept[s->n++] = index;
+    }
+    hg_tensor *rows = hg_gather(ctx, s->kept[0], s->kept[2]);
+    return hg_linear_pair(ctx, rows, hg_matmul(ctx, x, s->kept[1]), HG_TANH);
+}
+
+static const struct {
+    const char *name;
+    formula forward;
+} formulas[] = { { "network", network },
+                 { "elementwise", elementwise },
+                 { "layout", layout },
+                 { "reductions", reductions },
+                 { "pairs", pairs } };
+#define FORMULAS (int)(sizeof formulas / sizeof *formulas)
+
+static hg_ctx *context(void)
+{
+    hg_ctx *ctx;
+    OK(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }));
+    return ctx;
+}
+
+static void empty(shelf *s)
+{
+    for (int i = 0; i < s->n; i++) hg_tensor_destroy(s->kept[i]);
+    s->n = 0;
+}
+
+static const hg_onnx_metadata metadata[] = { { "units", "metres" }, { "dt", "0.0333" } };
+static const hg_onnx_options options = { .input = "features",
+                                         .output = "displacement",
+                                         .graph = "test",
+                                         .doc = "a test",
+                                         .columns = COLUMNS,
+                                         .metadata = metadata,
+                                         .n_metadata = 2 };
+
+/* ---- parsed back --------------------------------------------------------------------------------------------- */
+
+static Onnx__ModelProto *parse(const char *path)
+{
+    void *bytes;
+    size_t size;
+    OK(hg_file_read(path, &bytes, &size));
+    Onnx__ModelProto *model = onnx__model_proto__unpack(NULL, size, bytes);
+    hg_free(bytes);
+    assert_non_null(model);
+    return model;
+}
+
+/* Every input of a node is the graph's, an initialiser or an earlier node's output, and names are used once. */
+static void check_order(const Onnx__GraphProto *graph)
+{
+    const char *known[256];
+    size_t n = 0;
+    known[n++] = graph->input[0]->name;
+    for (size_t i = 0; i < graph->n_initializer; i++) known[n++] = graph->initializer[i]->name;
+    for (size_t i = 0; i < graph->n_node; i++) {
+        const Onnx__NodeProto *node = graph->node[i];
+        for (size_t k = 0; k < node->n_input; k++) {
+            bool found = node->input[k][0] == '\0';
+            for (size_t j = 0; j < n && !found; j++) found = strcmp(known[j], node->input[k]) == 0;
+            if (!found) fail_msg("node %s reads %s, which nothing made before", node->name, node->input[k]);
+        }
+        for (size_t j = 0; j < n; j++) assert_string_not_equal(known[j], node->output[0]);
+        assert_true(n < 256);
+        known[n++] = node->output[0];
+    }
+    assert_string_equal(known[n - 1], graph->output[0]->name);
+}
+
+static void file_of_a_network(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = context();
+    shelf s = { 0 };
+    char *path = test_path("network.onnx");
+    OK(hg_onnx_export(ctx, path, network, &s, &options));
+    Onnx__ModelProto *model = parse(path);
+    assert_int_equal(model->ir_version, 7);
+    assert_int_equal(model->n_opset_import, 1);
+    assert_int_equal(model->opset_import[0]->version, 15);
+    assert_string_equal(model->opset_import[0]->domain, "");
+    assert_string_equal(model->producer_name, "hairgrad");
+    assert_int_equal(model->n_metadata_props, 2);
+    assert_string_equal(model->metadata_props[1]->key, "dt");
+    assert_string_equal(model->metadata_props[1]->value, "0.0333");
+
+    const Onnx__GraphProto *graph = model->graph;
+    assert_string_equal(graph->doc_string, "a test");
+    assert_int_equal(graph->n_input, 1);
+    assert_string_equal(graph->input[0]->name, "features");
+    const Onnx__TypeProto__Tensor *type = graph->input[0]->type->tensor_type;
+    assert_int_equal(type->elem_type, ONNX__TENSOR_PROTO__DATA_TYPE__FLOAT);
+    assert_int_equal(type->shape->n_dim, 2);
+    assert_string_equal(type->shape->dim[0]->dim_param, "strands");
+    assert_int_equal(type->shape->dim[1]->dim_value, COLUMNS);
+    assert_string_equal(graph->output[0]->name, "displacement");
+    assert_int_equal(graph->output[0]->type->tensor_type->shape->dim[1]->dim_value, 16);
+    check_order(graph);
+
+    const Onnx__TensorProto *first = NULL;
+    int hidden = 0;
+    for (size_t i = 0; i < graph->n_initializer; i++) {
+        if (strcmp(graph->initializer[i]->name, "first.weight") == 0) first = graph->initializer[i];
+        hidden += strncmp(graph->initializer[i]->name, "hidden.weight", 13) == 0;
+    }
+    assert_int_equal(hidden, HG_SOFTPLUS + 1); /* nine of one name: told apart by numbers */
+    assert_non_null(first);
+    assert_int_equal(first->n_dims, 2);
+    assert_int_equal(first->dims[0], COLUMNS);
+    assert_int_equal(first->dims[1], 16);
+    assert_int_equal(first->raw_data.len, COLUMNS * 16 * 4);
+    assert_memory_equal(first->raw_data.data, s.kept[0]->data, first->raw_data.len);
+    onnx__model_proto__free_unpacked(model, NULL);
+
+    void *one, *two;
+    size_t size_one, size_two;
+    OK(hg_file_read(path, &one, &size_one));
+    hg_step_reset(ctx);
+    OK(hg_onnx_export(ctx, path, network, &s, &options)); /* again: the same bytes */
+    OK(hg_file_read(path, &two, &size_two));
+    assert_int_equal(size_one, size_two);
+    assert_memory_equal(one, two, size_one);
+    hg_free(one);
+    hg_free(two);
+    hg_free(path);
+    empty(&s);
+    hg_ctx_destroy(ctx);
+}
+
+static void every_formula_parses(void **state)
+{
+    (void)state;
+    for (int f = 0; f < FORMULAS; f++) {
+        hg_ctx *ctx = context();
+        shelf s = { 0 };
+        char *path = test_path("formula.onnx");
+        OK(hg_onnx_export(ctx, path, formulas[f].forward, &s, &options));
+        Onnx__ModelProto *model = parse(path);
+        check_order(model->graph);
+        onnx__model_proto__free_unpacked(model, NULL);
+        hg_free(path);
+        empty(&s);
+        hg_ctx_destroy(ctx);
+    }
+}
+
+/* ---- refusals ------------------------------------------------------------------------------------------------ */
+
+static hg_tensor *mute_shape(hg_call *call)
+{
+    return hg_tensor_make(call->ctx, HG_F32, call->in[0]->rank, call->in[0]->shape);
+}
+
+static hg_status mute_forward(hg_call *call) { return hg_tensor_copy(call->out, call->in[0]); }
+
+static const hg_op mute = { .name = "mute",
+                            .formula = "x",
+                            .min_in = 1,
+                            .max_in = 1,
+                            .shape = mute_shape,
+                            .forward = mute_forward,
+                            .not_differentiable = true };
+
+static hg_tensor *with_mute(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    (void)self;
+    return hg_square(ctx, hg_apply(ctx, &mute, 1, &x, NULL));
+}
+
+static hg_tensor *constant_result(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    (void)self;
+    return hg_square(ctx, hg_tensor_make(ctx, HG_F32, 2, x->shape));
+}
+
+static hg_tensor *one_row(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    (void)self;
+    return hg_sum_axis(ctx, x, 0, true);
+}
+
+static void refusals(void **state)
+{
+    (void)state;
+    static const struct {
+        formula forward;
+        hg_status status;
+        const char *says;
+    } cases[] = { { with_mute, HG_UNSUPPORTED, "'mute'" },
+                  { constant_result, HG_INVALID, "does not depend on its input" },
+                  { one_row, HG_INVALID, "rows" } };
+    char *path = test_path("refused.onnx");
+    for (int i = 0; i < 3; i++) {
+        hg_ctx *ctx = context();
+        assert_int_equal(hg_onnx_export(ctx, path, cases[i].forward, NULL, &options), cases[i].status);
+        if (!strstr(hg_message(), cases[i].says)) fail_msg("'%s' does not say \"%s\"", hg_message(), cases[i].says);
+        assert_false(hg_file_exists(path));
+        hg_ctx_destroy(ctx);
+    }
+    hg_ctx *ctx = context();
+    hg_onnx_options none = options;
+    none.columns = 0;
+    shelf s = { 0 };
+    assert_int_equal(hg_onnx_export(ctx, path, network, &s, &none), HG_INVALID);
+    hg_free(path);
+    empty(&s);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- for ONNX Runtime ---------------------------------------------------------------------------------------- */
+
+static void dump_one(const char *folder, int f, int64_t rows)
+{
+    hg_ctx *ctx = context();
+    shelf s = { 0 };
+    char *model = hg_format("%s/%s.onnx", folder, formulas[f].name);
+    OK(hg_onnx_export(ctx, model, formulas[f].forward, &s, &options));
+    hg_step_reset(ctx);
+    hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ rows, COLUMNS });
+    for (int64_t i = 0; i < hg_tensor_count(x); i++)
+        ((float *)x->data)[i] = (float)(3.0 * hg_random_uniform(5, (uint64_t)rows, (uint64_t)i) - 1.5);
+    hg_tensor *y = formulas[f].forward(&s, ctx, x);
+    if (!y) fail_msg("%s", hg_ctx_message(ctx));
+    char *in = hg_format("%s/%s.%d.in", folder, formulas[f].name, (int)rows);
+    char *out = hg_format("%s/%s.%d.out", folder, formulas[f].name, (int)rows);
+    OK(hg_file_write(in, x->data, hg_tensor_bytes(x)));
+    OK(hg_file_write(out, y->data, hg_tensor_bytes(y)));
+    hg_free(model);
+    hg_free(in);
+    hg_free(out);
+    empty(&s);
+    hg_ctx_destroy(ctx);
+}
+
+/* Strands and a mesh whose numbers the script knows: coordinate i of frame t is 1000 t + i. */
+static void dump_vtkhdf(const char *folder)
+{
+    char *strands = hg_format("%s/strands.vtkhdf", folder), *mesh = hg_format("%s/mesh.vtkhdf", folder);
+    hg_vtkhdf *file;
+    float points[36];
+    OK(hg_vtkhdf_create_strands(&file, strands, 5, 4, 3, 30.0));
+    for (int t = 0; t < 5; t++) {
+        for (int i = 0; i < 36; i++) points[i] = (float)(1000 * t + i);
+        OK(hg_vtkhdf_add(file, points));
+        OK(hg_vtkhdf_add_extra(file, "root_position", HG_F32, 2, (int64_t[]){ 4, 3 }, points));
+    }
+    OK(hg_vtkhdf_commit(file));
+    OK(hg_vtkhdf_create_mesh(&file, mesh, 5, 4, 2, (int32_t[]){ 0, 1, 2, 0, 2, 3 }, 30.0));
+    for (int t = 0; t < 5; t++) {
+        for (int i = 0; i < 12; i++) points[i] = (float)(1000 * t + i);
+        OK(hg_vtkhdf_add(file, points));
+    }
+    OK(hg_vtkhdf_commit(file));
+    hg_free(strands);
+    hg_free(mesh);
+}
+
+static void dump(void **state)
+{
+    (void)state;
+    const char *folder = getenv("HG_ONNX_DUMP");
+    if (!folder) skip();
+    for (int f = 0; f < FORMULAS; f++) {
+        dump_one(folder, f, 1);
+        dump_one(folder, f, 7);
+    }
+    dump_vtkhdf(folder);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(file_of_a_network),
+        cmocka_unit_test(every_formula_parses),
+        cmocka_unit_test(refusals),
+        cmocka_unit_test(dump),
+    };
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
+}
