@@ -1,7 +1,8 @@
 /* Biovision .bvh: a hierarchy of joints with offsets and channels, then one line of channel values per frame.
  *
  * Channels are applied in the order given: rotations Z, Y, X mean Rz Ry Rx. Positions of joints other than the root are
- * passed over. A first frame without any rotation is a T-pose that converters put before the clip, and is dropped.
+ * passed over. A first frame with an unturned root, whole degrees and nearly all of them zero is a T-pose that converters
+ * put before a clip, and is dropped.
  * A .bvh stores no unit. It is taken to be that of the CMU skeletons unless another one makes the legs human; and in
  * some files offsets are in another power of ten than the root's track: they are brought to the scale of the track. */
 #include "scene/clip.h"
@@ -133,9 +134,9 @@ static hg_status read_motion(builder *b, hg_lines *lines)
     double rate = 1 / time, whole = round(rate);
     clip->rate = fabs(rate - whole) < 1e-4 * whole ? whole : rate;
     HG_TRY(clip_frames(clip, frames));
-    bool t_pose = false;
+    bool t_pose[2] = { false, false }; /* whether the first and the second frame look like one */
     for (int64_t t = 0; t < frames; t++) {
-        bool turned = false;
+        int64_t zero = 0, odd = 0; /* rotations that are zero; that no T-pose has */
         for (int64_t c = 0; c < b->channels; c++) {
             double value;
             if (!hg_lines_flow(lines, &word))
@@ -146,18 +147,19 @@ static hg_status read_motion(builder *b, hg_lines *lines)
                                      hg_word_length(word), word.at);
             const channel *what = b->channel + c;
             double *q = clip->rotation + 4 * (t * clip->joints + what->joint);
-            turned |= what->rotation && value != 0;
+            zero += what->rotation && value == 0;
+            odd += what->rotation && (value != round(value) || (what->joint == 0 && value != 0));
             if (what->rotation)
                 hg_quatd_store(q, hg_quatd_mul(hg_quatd_load(q), clip_turn(what->axis, value)));
             else if (what->joint == 0)
                 clip->translation[3 * t + what->axis] = value;
         }
-        if (t == 0) t_pose = !turned;
+        if (t < 2) t_pose[t] = odd == 0 && 4 * zero >= 3 * (b->channels - 3);
     }
     if (hg_lines_flow(lines, &word))
         return hg_lines_fail(lines, "more values than %lld frames of %lld channels", (long long)frames,
                              (long long)b->channels);
-    if (t_pose && frames > 1) {
+    if (t_pose[0] && frames > 1 && !t_pose[1]) {
         clip->frames--;
         memmove(clip->rotation, clip->rotation + 4 * clip->joints,
                 (size_t)(4 * clip->frames * clip->joints) * sizeof(double));

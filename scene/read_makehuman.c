@@ -54,6 +54,7 @@ static const shape_direction directions[HG_SHAPES] = {
 typedef struct {
     const char *folder;
     hg_mesh *mesh;
+    int body_group;               /* of the mesh */
     double *neutral;              /* [mesh vertices,3] metres */
     double *direction[HG_SHAPES]; /* [mesh vertices,3] */
     int32_t *number;              /* [mesh vertices] of a mesh vertex in the body, -1 for helpers */
@@ -125,12 +126,22 @@ static hg_status read_shapes(maker *m)
 
 /* ---- mesh ---------------------------------------------------------------------------------------------------- */
 
+static hg_status find_body_group(maker *m)
+{
+    const hg_mesh *mesh = m->mesh;
+    while (m->body_group < mesh->n_groups && strcmp(mesh->group[m->body_group], "body") != 0) m->body_group++;
+    for (int64_t f = 0; f < mesh->faces; f++)
+        if (mesh->group_of_face[f] == m->body_group) return HG_OK;
+    return hg_fail(HG_FORMAT,
+                   "%s/makehuman/base.obj: no polygon in a group named \"body\"; is this the MakeHuman base mesh?",
+                   m->folder);
+}
+
 static hg_status take_body_group(maker *m)
 {
     const hg_mesh *mesh = m->mesh;
     hg_body *body = m->body;
-    int group = 0;
-    while (group < mesh->n_groups && strcmp(mesh->group[group], "body") != 0) group++;
+    int group = m->body_group;
     m->number = hg_alloc((size_t)mesh->vertices, sizeof *m->number);
     m->vertex = hg_alloc((size_t)mesh->vertices, sizeof *m->vertex);
     if (!m->number || !m->vertex) return HG_MEMORY;
@@ -139,10 +150,6 @@ static hg_status take_body_group(maker *m)
         body->faces++;
         for (int k = 0; k < 3; k++) m->number[mesh->triangles[3 * f + k]] = 1;
     }
-    if (body->faces == 0)
-        return hg_fail(HG_FORMAT,
-                       "%s/makehuman/base.obj: no polygon in a group named \"body\"; is this the MakeHuman base mesh?",
-                       m->folder);
     for (int64_t v = 0; v < mesh->vertices; v++) {
         if (m->number[v]) m->vertex[body->vertices] = (int32_t)v;
         m->number[v] = m->number[v] ? (int32_t)body->vertices++ : -1;
@@ -477,6 +484,7 @@ static hg_status make(maker *m)
     hg_status status = path ? hg_mesh_read_obj(&m->mesh, path) : HG_MEMORY;
     hg_free(path);
     HG_TRY(status);
+    HG_TRY(find_body_group(m));
     HG_TRY(read_json(&m->rig, m->rig_path));
     HG_TRY(read_json(&m->weights, m->weights_path));
     HG_TRY(read_shapes(m));

@@ -18,10 +18,10 @@ static inline void small_remove(const char *path)
         return;
     }
     for (struct dirent *entry; (entry = readdir(folder));) {
-        char inside[1024];
         if (!strcmp(entry->d_name, ".") || !strcmp(entry->d_name, "..")) continue;
-        snprintf(inside, sizeof inside, "%s/%s", path, entry->d_name);
-        small_remove(inside);
+        char *inside = hg_path_join(path, entry->d_name);
+        if (inside) small_remove(inside);
+        hg_free(inside);
     }
     closedir(folder);
     rmdir(path);
