@@ -435,6 +435,7 @@ static void drape_and_its_pictures(void **state)
     assert_int_equal(hg_sheet_draw(ctx, &image, path, &(hg_sheet_options){ .view = "sideways" }, NULL), HG_INVALID);
     assert_int_not_equal(hg_sheet_draw(ctx, &image, "no.vtkhdf", &(hg_sheet_options){ 0 }, NULL), HG_OK);
     hg_groom_destroy(groom);
+    hg_ctx_destroy(ctx);
     hg_body_destroy(body);
     drop(path);
     drop(body_path);
