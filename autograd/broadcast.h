@@ -59,4 +59,24 @@ typedef struct {
 } hg_broadcast_chunks;
 hg_broadcast_chunks hg_broadcast_cut(const hg_broadcast *plan, int input);
 
+/* ---- ops of two broadcast inputs ---- */
+
+/* n items: a and b move by sa and sb (0 or 1) items. `width` is the elements of an item of a. */
+typedef void hg_segment_forward(int64_t n, const void *a, int64_t sa, const void *b, int64_t sb, void *out,
+                                int64_t width);
+/* The gradient of one input: `to` moves by st items; fresh: overwrite (only with st 1), else add. */
+typedef void hg_segment_gradient(int64_t n, const void *g, const void *a, int64_t sa, const void *b, int64_t sb,
+                                 void *to, int64_t st, bool fresh, int64_t width);
+typedef struct {
+    int item_axes;                       /* 0: an item is one element; 1: the last axis */
+    int out_width;                       /* with item_axes 1: elements of an item of the output */
+    hg_segment_forward *forward[2];      /* f32, f64 */
+    hg_segment_gradient *gradient[2][2]; /* by input, by type */
+} hg_pair_functions;
+
+hg_status hg_pair_forward(hg_call *call, const hg_pair_functions *functions);
+hg_status hg_pair_backward(hg_call *call, const hg_pair_functions *functions);
+/* For references: where in the inputs output item `item` comes from, by index arithmetic of its own. */
+void hg_pair_items(const hg_call *call, int item_axes, int64_t item, int64_t at[2]);
+
 #endif

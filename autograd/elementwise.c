@@ -18,24 +18,6 @@
 
 /* ---- binary ---- */
 
-typedef void segment_forward(int64_t n, const void *a, int64_t sa, const void *b, int64_t sb, void *out);
-typedef void segment_gradient(int64_t n, const void *g, const void *a, int64_t sa, const void *b, int64_t sb, void *to,
-                              int64_t st, bool fresh);
-typedef struct {
-    segment_forward *forward[2];      /* f32, f64 */
-    segment_gradient *gradient[2][2]; /* by input, by type */
-} binary_functions;
-
-typedef struct {
-    hg_broadcast plan;
-    const binary_functions *functions;
-    int real, input; /* 0: f32, 1: f64; the input whose gradient is made */
-    int64_t size, chunk;
-    bool fresh;
-    const char *a, *b, *g;
-    char *out;
-} binary_args;
-
 static hg_tensor *binary_shape(hg_call *call)
 {
     hg_broadcast plan;
@@ -45,123 +27,12 @@ static hg_tensor *binary_shape(hg_call *call)
     return hg_out(call, call->in[0]->dtype, rank, shape);
 }
 
-static void binary_forward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const binary_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    hg_walk walk;
-    for (hg_walk_begin(&walk, plan, first); walk.position < last;) {
-        int64_t n = hg_walk_length(&walk, plan, last);
-        p->functions->forward[p->real](n, p->a + walk.at[0] * p->size, plan->step[0], p->b + walk.at[1] * p->size,
-                                       plan->step[1], p->out + walk.position * p->size);
-        hg_walk_next(&walk, plan, n);
-    }
-}
-
-/* The input was not broadcast: its gradient lies like the output. */
-static void binary_direct_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const binary_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    hg_walk walk;
-    for (hg_walk_begin(&walk, plan, first); walk.position < last;) {
-        int64_t n = hg_walk_length(&walk, plan, last), at = walk.position * p->size;
-        p->functions->gradient[p->input][p->real](n, p->g + at, p->a + walk.at[0] * p->size, plan->step[0],
-                                                  p->b + walk.at[1] * p->size, plan->step[1], p->out + at, 1, p->fresh);
-        hg_walk_next(&walk, plan, n);
-    }
-}
-
-static void binary_chunk_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const binary_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    for (int64_t chunk = first; chunk < last; chunk++) {
-        char *copy = p->out + chunk * plan->in_count[p->input] * p->size;
-        memset(copy, 0, (size_t)(plan->in_count[p->input] * p->size));
-        int64_t end = (chunk + 1) * p->chunk < plan->count ? (chunk + 1) * p->chunk : plan->count;
-        hg_walk walk;
-        for (hg_walk_begin(&walk, plan, chunk * p->chunk); walk.position < end;) {
-            int64_t n = hg_walk_length(&walk, plan, end);
-            p->functions->gradient[p->input][p->real](n, p->g + walk.position * p->size, p->a + walk.at[0] * p->size,
-                                                      plan->step[0], p->b + walk.at[1] * p->size, plan->step[1],
-                                                      copy + walk.at[p->input] * p->size, plan->step[p->input], false);
-            hg_walk_next(&walk, plan, n);
-        }
-    }
-}
-
-static binary_args binary_arguments(const hg_call *call, const binary_functions *functions)
-{
-    binary_args args = { .functions = functions, .real = call->out->dtype == HG_F64 };
-    int rank;
-    int64_t shape[HG_MAX_RANK];
-    hg_broadcast_plan(call, 0, &args.plan, &rank, shape); /* checked by the shape rule */
-    args.size = (int64_t)hg_dtype_size(call->out->dtype);
-    args.a = call->in[0]->data;
-    args.b = call->in[1]->data;
-    return args;
-}
-
-static hg_status binary_forward(hg_call *call, const binary_functions *functions)
-{
-    static const hg_kernel kernel = { .name = "binary", .args_size = sizeof(binary_args), .cpu = binary_forward_cpu };
-    binary_args args = binary_arguments(call, functions);
-    args.out = call->out->data;
-    return hg_launch(call->ctx, &kernel, args.plan.count, &args);
-}
-
-static hg_status binary_backward(hg_call *call, const binary_functions *functions)
-{
-    static const hg_kernel direct = { .name = "binary", .args_size = sizeof(binary_args), .cpu = binary_direct_cpu };
-    static const hg_kernel chunked = {
-        .name = "binary", .args_size = sizeof(binary_args), .cpu = binary_chunk_cpu, .block = 1
-    };
-    binary_args args = binary_arguments(call, functions);
-    args.g = hg_grad(call->out)->data;
-    if (args.plan.count == 0) return HG_OK;
-    for (args.input = 0; args.input < 2; args.input++) {
-        hg_tensor *in = call->in[args.input];
-        if (!hg_needs_grad(in)) continue;
-        char *gradient = hg_grad_data(in, &args.fresh);
-        if (args.plan.in_count[args.input] == args.plan.count) {
-            args.out = gradient;
-            HG_TRY(hg_launch(call->ctx, &direct, args.plan.count, &args));
-            continue;
-        }
-        hg_broadcast_chunks cut = hg_broadcast_cut(&args.plan, args.input);
-        int64_t size = args.plan.in_count[args.input];
-        hg_step_mark mark = hg_step_set_mark(call->ctx);
-        hg_tensor *copies = hg_tensor_make(call->ctx, in->dtype, 2, (int64_t[]){ cut.chunks, size });
-        if (!copies) return HG_MEMORY;
-        args.out = copies->data;
-        args.chunk = cut.length;
-        HG_TRY(hg_launch(call->ctx, &chunked, cut.chunks, &args));
-        HG_TRY(hg_add_partials(call->ctx, in->dtype, cut.chunks, size, copies->data, gradient, args.fresh));
-        hg_step_rewind(call->ctx, mark);
-    }
-    return HG_OK;
-}
-
-/* Index arithmetic of its own, so that it does not share the plan's mistakes. */
 static void binary_reference(const hg_call *call, double *out, double (*f)(double, double))
 {
-    const hg_tensor *y = call->out;
-    for (int64_t i = 0; i < hg_tensor_count(y); i++) {
-        double value[2];
-        for (int j = 0; j < 2; j++) {
-            const hg_tensor *x = call->in[j];
-            int64_t rest = i, at = 0, stride = 1;
-            for (int axis = 1; axis <= y->rank; axis++) {
-                int64_t n = y->shape[y->rank - axis], k = rest % n;
-                rest /= n;
-                if (axis > x->rank) continue;
-                if (x->shape[x->rank - axis] > 1) at += k * stride;
-                stride *= x->shape[x->rank - axis];
-            }
-            value[j] = hg_tensor_item(x, at);
-        }
-        out[i] = f(value[0], value[1]);
+    for (int64_t i = 0; i < hg_tensor_count(call->out); i++) {
+        int64_t at[2];
+        hg_pair_items(call, 0, i, at);
+        out[i] = f(hg_tensor_item(call->in[0], at[0]), hg_tensor_item(call->in[1], at[1]));
     }
 }
 
@@ -206,11 +77,12 @@ static const hg_sample tie_pairs[] = {
 };
 
 #define BINARY_OP(NAME_, FORMULA_, ONNX_, SAMPLES_, ...)                                                               \
-    static const binary_functions NAME_##_functions = { { NAME_##_forward_f32, NAME_##_forward_f64 },                  \
-                                                        { { NAME_##_da_f32, NAME_##_da_f64 },                          \
-                                                          { NAME_##_db_f32, NAME_##_db_f64 } } };                      \
-    static hg_status NAME_##_forward(hg_call *call) { return binary_forward(call, &NAME_##_functions); }               \
-    static hg_status NAME_##_backward(hg_call *call) { return binary_backward(call, &NAME_##_functions); }             \
+    static const hg_pair_functions NAME_##_functions = {                                                               \
+        .forward = { NAME_##_forward_f32, NAME_##_forward_f64 },                                                       \
+        .gradient = { { NAME_##_da_f32, NAME_##_da_f64 }, { NAME_##_db_f32, NAME_##_db_f64 } },                        \
+    };                                                                                                                 \
+    static hg_status NAME_##_forward(hg_call *call) { return hg_pair_forward(call, &NAME_##_functions); }              \
+    static hg_status NAME_##_backward(hg_call *call) { return hg_pair_backward(call, &NAME_##_functions); }            \
     static void NAME_##_reference(const hg_call *call, double *out) { binary_reference(call, out, NAME_##_of); }       \
     static hg_status NAME_##_emit(const hg_call *call, hg_emitter *e) { return hg_emit_one(call, e, ONNX_); }          \
     HG_OP(NAME_, .formula = FORMULA_, .min_in = 2, .max_in = 2, .shape = binary_shape, .forward = NAME_##_forward,     \
