@@ -32,8 +32,8 @@ static const struct {
 static void weigh(hg_vec3d p, double w[JOINTS])
 {
     bust_distance d = bust_measure(p);
-    double head = scene_ramp(-0.022, 0.022, d.neck - d.head),
-           torso = (1 - head) * scene_ramp(-0.03, 0.03, d.neck - d.torso);
+    double head = scene_ramp(-0.022, 0.022, d.neck - d.head) * (1 - scene_ramp(0.02, 0.06, d.head));
+    double torso = (1 - head) * scene_ramp(-0.03, 0.03, d.neck - d.torso);
     double neck = 1 - head - torso, upper = scene_ramp(0.595, 0.67, p.y - 0.25 * p.z);
     double shoulder = torso * scene_ramp(0.03, 0.13, fabs(p.x)) * scene_ramp(0.40, 0.51, p.y);
     double arm = torso * scene_ramp(0.135, 0.195, fabs(p.x)), low = 1 - scene_ramp(0.30, 0.44, p.y);

@@ -55,12 +55,12 @@ static double sines(draw d, uint64_t i, double t, double frequency)
 
 /* ---- gestures ----------------------------------------------------------------------------------------------- */
 
-/* Small movements that never stop: breathing and balance. */
+/* Movements that never stop: balance, and looking about. */
 static void sway(draw d, double t, gesture *g)
 {
-    g->head.x += 3 * DEGREE * sines(d, 40, t, 0.35);
-    g->head.y += 5 * DEGREE * sines(d, 41, t, 0.25);
-    g->head.z += 2 * DEGREE * sines(d, 42, t, 0.3);
+    g->head.x += 5 * DEGREE * sines(d, 40, t, 0.5);
+    g->head.y += 9 * DEGREE * sines(d, 41, t, 0.45);
+    g->head.z += 4 * DEGREE * sines(d, 42, t, 0.4);
     g->chest.x += 1 * DEGREE * sines(d, 43, t, 0.3);
     g->chest.z += 1 * DEGREE * sines(d, 44, t, 0.2);
     g->way.x += 0.006 * sines(d, 45, t, 0.25);
@@ -78,10 +78,10 @@ static void nod(draw d, double t, gesture *g)
 /* From one side to another, quickly, and looking there for a while. */
 static void turn(draw d, double t, gesture *g)
 {
-    double period = uniform(d, 0, 1.3, 1.7), k = floor(t / period), at = t - k * period;
+    double period = uniform(d, 0, 1.0, 1.3), k = floor(t / period), at = t - k * period;
     double from = k > 0 ? uniform(d, 200 + (uint64_t)k, 25, 65) : 0,
            to = uniform(d, 201 + (uint64_t)fmax(k, 0), 25, 65);
-    double side = fmod(k, 2) == 0 ? 1 : -1, lasts = uniform(d, 300 + (uint64_t)fmax(k, 0), 0.5, 0.8);
+    double side = fmod(k, 2) == 0 ? 1 : -1, lasts = uniform(d, 300 + (uint64_t)fmax(k, 0), 0.5, 0.85);
     double yaw = -side * from + side * (from + to) * scene_ramp(0, lasts, at);
     sway(d, t, g);
     g->head.y += yaw * DEGREE;
@@ -91,8 +91,8 @@ static void turn(draw d, double t, gesture *g)
 
 static void shake(draw d, double t, gesture *g)
 {
-    double on = bursts(d, t, 3.2, uniform(d, 0, 1.5, 2));
-    double frequency = uniform(d, 1, 1.5, 2.1), speed = uniform(d, 2, 330, 400);
+    double on = bursts(d, t, 2.8, uniform(d, 0, 1.9, 2.4));
+    double frequency = uniform(d, 1, 1.5, 2.1), speed = uniform(d, 2, 280, 350);
     double amplitude = speed / (2 * SCENE_PI * frequency);
     sway(d, t, g);
     g->head.y += on * amplitude * DEGREE * sines(d, 3, t, frequency);

@@ -25,6 +25,12 @@
         if (!strstr(hg_message(), text)) fail_msg("%s: \"%s\" is not in \"%s\"", #call, text, hg_message());           \
     } while (0)
 
+#define NEAR(a, b, tolerance)                                                                                          \
+    do {                                                                                                               \
+        double a_ = (double)(a), b_ = (double)(b);                                                                     \
+        if (!(fabs(a_ - b_) <= (tolerance))) fail_msg("%s is %.9g, expected %.9g", #a, a_, b_);                        \
+    } while (0)
+
 static hg_ctx *ctx;
 static hg_body *bust;
 static char folder[] = "/tmp/hairgrad_test_scene_XXXXXX";
@@ -77,6 +83,7 @@ static void test_resampling_follows_a_circle(void **state)
 {
     (void)state;
     enum { N = 19, V = 25 };
+    const double step = 4.5 / (V - 1);
     hg_curves *curves = curves_make(1, (int64_t[]){ N });
     for (int i = 0; i < N; i++) {
         double a = 4.5 * pow((double)i / (N - 1), 1.3);
@@ -86,13 +93,13 @@ static void test_resampling_follows_a_circle(void **state)
     OK(hg_groom_from_curves(&groom, curves, V, NULL));
     for (int v = 0; v < V; v++) {
         const float *p = groom->points + 3 * v;
-        double a = 4.5 * v / (V - 1);
-        assert_float_equal(hypot((double)p[0], (double)p[1]), 1, 5e-4);
-        assert_float_equal(hypot((double)p[0] - cos(a), (double)p[1] - sin(a)), 0, 2e-3);
-        assert_float_equal(p[2], 3, 1e-6);
+        double a = step * v;
+        NEAR(hypot((double)p[0], (double)p[1]), 1, 5e-4);
+        NEAR(hypot((double)p[0] - cos(a), (double)p[1] - sin(a)), 0, 2e-3);
+        NEAR(p[2], 3, 1e-6);
         if (v == 0) continue;
         double chord = hg_vec3d_distance(point(p), point(p - 3));
-        assert_float_equal(chord, 2 * sin(0.5 * 4.5 / (V - 1)), 5e-4);
+        NEAR(chord, 2 * sin(0.5 * step), 5e-4);
     }
     /* both ends stay */
     for (int c = 0; c < 3; c++) {
@@ -116,7 +123,7 @@ static void test_resampling_keeps_lines(void **state)
     for (int s = 0; s < 2; s++)
         for (int v = 0; v < 9; v++)
             for (int c = 0; c < 3; c++)
-                assert_float_equal(groom->points[3 * (9 * s + v) + c], way[c] * (float)v / 8, s ? 2e-3 : 1e-6);
+                NEAR(groom->points[3 * (9 * s + v) + c], way[c] * (float)v / 8, s ? 2e-3 : 1e-6);
     hg_groom_destroy(groom);
     hg_curves_destroy(curves);
 }
@@ -222,7 +229,7 @@ static void test_units_and_axes(void **state)
     hg_groom *groom;
     OK(hg_groom_load(&groom, in_folder("cm.h5")));
     const double expected[6] = { 0.01, 0.03, -0.02, 0.01, 0.04, -0.02 };
-    for (int i = 0; i < 6; i++) assert_float_equal(groom->points[i], expected[i], 1e-8);
+    for (int i = 0; i < 6; i++) NEAR(groom->points[i], expected[i], 1e-8);
     hg_groom_destroy(groom);
 }
 
@@ -412,7 +419,7 @@ static void test_other_frame_rates(void **state)
         assert_memory_equal(third->rotation + t * row, motion->rotation + 4 * t * row, (size_t)row * sizeof(float));
     OK(hg_motion_resample(&half, motion, 48));
     for (int64_t i = 0; i < half->frames * half->joints; i++)
-        assert_float_equal(hg_quatf_norm(hg_quatf_load(half->rotation + 4 * i)), 1, 1e-6);
+        NEAR(hg_quatf_norm(hg_quatf_load(half->rotation + 4 * i)), 1, 1e-6);
     hg_motion_destroy(third);
     hg_motion_destroy(half);
     hg_motion_destroy(motion);
@@ -428,8 +435,8 @@ static void test_other_frame_rates(void **state)
     assert_int_equal(more->frames, 3);
     hg_quatd between = hg_quatd_from_axis_angle(hg_vec3d_make(0, 1, 0), 0.7);
     hg_quatd got = hg_quatd_from_f(hg_quatf_load(more->rotation + row));
-    assert_float_equal(fabs(hg_quatd_dot(between, got)), 1, 1e-7);
-    assert_float_equal(more->translation[3], 0.5, 1e-7);
+    NEAR(fabs(hg_quatd_dot(between, got)), 1, 1e-7);
+    NEAR(more->translation[3], 0.5, 1e-7);
     FAILS(hg_motion_resample(&third, motion, -1), "frames per second");
     hg_motion_destroy(motion);
     hg_motion_destroy(more);
@@ -466,25 +473,25 @@ static void test_a_rigid_turn_is_rigid(void **state)
     for (int64_t v = 0; v < bust->vertices; v++) {
         hg_vec3d rest = hg_vec3d_sub(point(bust->points + 3 * v), pivot);
         hg_vec3d expected = hg_vec3d_add(hg_vec3d_add(pivot, way), hg_quatd_rotate(turn, rest));
-        assert_float_equal(hg_vec3d_distance(expected, point(x + 3 * v)), 0, 2e-6);
+        NEAR(hg_vec3d_distance(expected, point(x + 3 * v)), 0, 2e-6);
     }
     for (int64_t j = 0; j < bust->joints; j++) {
         hg_vec3d rest = hg_vec3d_sub(point(bust->joint + 3 * j), pivot);
         hg_vec3d expected = hg_vec3d_add(hg_vec3d_add(pivot, way), hg_quatd_rotate(turn, rest));
-        assert_float_equal(hg_vec3d_distance(expected, point(joints + 3 * j)), 0, 1e-6);
-        assert_float_equal(fabs(hg_quatd_dot(turn, hg_quatd_from_f(hg_quatf_load(turns + 4 * j)))), 1, 1e-6);
+        NEAR(hg_vec3d_distance(expected, point(joints + 3 * j)), 0, 1e-6);
+        NEAR(fabs(hg_quatd_dot(turn, hg_quatd_from_f(hg_quatf_load(turns + 4 * j)))), 1, 1e-6);
     }
     OK(hg_pose_roots(ctx, poser, groom, NULL, 0, x, rotation, position));
     hg_pose_strands(ctx, groom->strands, groom->vertices, groom->points, rotation, position, strands);
     for (int64_t s = 0; s < groom->strands; s++) {
         hg_quatd got = hg_quatd_from_f(hg_quatf_load(rotation + 4 * s));
-        assert_float_equal(fabs(hg_quatd_dot(turn, got)), 1, 1e-6);
+        NEAR(fabs(hg_quatd_dot(turn, got)), 1, 1e-6);
         assert_true(got.w >= 0);
         for (int64_t v = 0; v < groom->vertices; v++) {
             int64_t i = 3 * (s * groom->vertices + v);
             hg_vec3d rest = hg_vec3d_sub(point(groom->points + i), pivot);
             hg_vec3d expected = hg_vec3d_add(hg_vec3d_add(pivot, way), hg_quatd_rotate(turn, rest));
-            assert_float_equal(hg_vec3d_distance(expected, point(strands + i)), 0, 2e-5);
+            NEAR(hg_vec3d_distance(expected, point(strands + i)), 0, 2e-5);
         }
     }
     hg_free(x), hg_free(joints), hg_free(turns), hg_free(rotation), hg_free(position), hg_free(strands);
@@ -534,10 +541,10 @@ static void test_skinning_blends(void **state)
             expected = hg_vec3d_add_scaled(expected, w, moved);
             blended += w > 0.2 && w < 0.8;
         }
-        assert_float_equal(hg_vec3d_distance(expected, point(x + 3 * v)), 0, 2e-6);
+        NEAR(hg_vec3d_distance(expected, point(x + 3 * v)), 0, 2e-6);
     }
     assert_true(blended > 100);
-    for (int j = 0; j < J; j++) assert_float_equal(hg_vec3d_distance(at[j], point(joints + 3 * j)), 0, 1e-6);
+    for (int j = 0; j < J; j++) NEAR(hg_vec3d_distance(at[j], point(joints + 3 * j)), 0, 1e-6);
 
     /* the same with fewer vertices, and again with one thread: to the bit */
     hg_poser *few;
@@ -583,11 +590,10 @@ static void test_root_frames(void **state)
     float *x = new_floats(3 * bust->vertices), *rotation = new_floats(4 * groom->strands);
     float *position = new_floats(3 * groom->strands), *strands = new_floats(3 * groom->strands * groom->vertices);
     OK(hg_pose(ctx, poser, NULL, NULL, 0, x, NULL, NULL));
-    for (int64_t i = 0; i < 3 * bust->vertices; i++) assert_float_equal(x[i], bust->points[i], 1e-6);
+    for (int64_t i = 0; i < 3 * bust->vertices; i++) NEAR(x[i], bust->points[i], 1e-6);
     OK(hg_pose_roots(ctx, poser, groom, NULL, 0, bust->points, rotation, position));
     hg_pose_strands(ctx, groom->strands, groom->vertices, groom->points, rotation, position, strands);
-    for (int64_t i = 0; i < 3 * groom->strands * groom->vertices; i++)
-        assert_float_equal(strands[i], groom->points[i], 2e-6);
+    for (int64_t i = 0; i < 3 * groom->strands * groom->vertices; i++) NEAR(strands[i], groom->points[i], 2e-6);
 
     /* a shape turns roots only a little, and posed roots lie on their triangles */
     OK(hg_pose(ctx, poser, (double[HG_SHAPES]){ 1, -1, 1 }, NULL, 0, x, NULL, NULL));
@@ -599,7 +605,7 @@ static void test_root_frames(void **state)
         hg_vec3d p = { 0 };
         for (int c = 0; c < 3; c++)
             p = hg_vec3d_add_scaled(p, (double)groom->root_bary[3 * s + c], point(x + 3 * (int64_t)t[c]));
-        assert_float_equal(hg_vec3d_distance(p, point(position + 3 * i)), 0, 1e-6);
+        NEAR(hg_vec3d_distance(p, point(position + 3 * i)), 0, 1e-6);
         assert_true(rotation[4 * i] > 0.98f && rotation[4 * i] <= 1);
     }
 

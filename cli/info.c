@@ -1,0 +1,378 @@
+/* hairgrad info: what a groom, body, motion, posed scene, drape, checkpoint or run holds, as text or JSON. */
+#include "cli/cli.h"
+#include "geometry/vector.h"
+
+#include <inttypes.h>
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+/* ---- facts -------------------------------------------------------------------------------------------------- */
+
+typedef struct {
+    hg_text out;
+    bool json;
+    int count;
+} facts;
+
+static void add_quoted(hg_text *out, const char *text)
+{
+    hg_text_add(out, "\"");
+    for (const unsigned char *c = (const unsigned char *)text; *c; c++) {
+        if (*c == '"' || *c == '\\')
+            hg_text_add(out, "\\%c", *c);
+        else if (*c < 0x20)
+            hg_text_add(out, "\\u%04x", *c);
+        else
+            hg_text_add(out, "%c", *c);
+    }
+    hg_text_add(out, "\"");
+}
+
+static void begin_fact(facts *f, const char *key)
+{
+    if (!f->json) {
+        hg_text_add(&f->out, "  %-20s ", key);
+    } else {
+        hg_text_add(&f->out, "%s\n    ", f->count ? "," : "");
+        add_quoted(&f->out, key);
+        hg_text_add(&f->out, ": ");
+    }
+    f->count++;
+}
+
+static void end_fact(facts *f, const char *unit)
+{
+    if (!f->json) hg_text_add(&f->out, "%s%s\n", *unit ? " " : "", unit);
+}
+
+static void add_text(facts *f, const char *key, const char *text)
+{
+    begin_fact(f, key);
+    if (f->json)
+        add_quoted(&f->out, text);
+    else
+        hg_text_add(&f->out, "%s", *text ? text : "-");
+    end_fact(f, "");
+}
+
+/* Numbers of one line; JSON has no NaN: null. */
+static void add_numbers(facts *f, const char *key, int n, const double *numbers, const char *unit)
+{
+    begin_fact(f, key);
+    if (f->json && n != 1) hg_text_add(&f->out, "[");
+    for (int i = 0; i < n; i++) {
+        hg_text_add(&f->out, "%s", i ? f->json ? ", " : " " : "");
+        if (isfinite(numbers[i]))
+            hg_text_add(&f->out, f->json ? "%.9g" : "%.6g", numbers[i]);
+        else
+            hg_text_add(&f->out, f->json ? "null" : "-");
+    }
+    if (f->json && n != 1) hg_text_add(&f->out, "]");
+    end_fact(f, unit);
+}
+
+static void add_number(facts *f, const char *key, double number, const char *unit)
+{
+    add_numbers(f, key, 1, &number, unit);
+}
+
+static void add_count(facts *f, const char *key, int64_t count)
+{
+    begin_fact(f, key);
+    hg_text_add(&f->out, "%" PRId64, count);
+    end_fact(f, "");
+}
+
+static void add_hash(facts *f, const char *key, uint64_t hash)
+{
+    char text[20];
+    snprintf(text, sizeof text, "%016" PRIx64, hash);
+    add_text(f, key, text);
+}
+
+static void add_texts(facts *f, const char *key, char *const *texts, int64_t n)
+{
+    begin_fact(f, key);
+    hg_text_add(&f->out, f->json ? "[" : "");
+    for (int64_t i = 0; i < n; i++) {
+        hg_text_add(&f->out, "%s", i ? f->json ? ", " : " " : "");
+        if (f->json)
+            add_quoted(&f->out, texts[i]);
+        else
+            hg_text_add(&f->out, "%s", texts[i]);
+    }
+    hg_text_add(&f->out, f->json ? "]" : "");
+    end_fact(f, "");
+}
+
+/* ---- kinds of files ----------------------------------------------------------------------------------------- */
+
+static void add_extent(facts *f, const float *points, int64_t n)
+{
+    double low[3] = { INFINITY, INFINITY, INFINITY }, high[3] = { -INFINITY, -INFINITY, -INFINITY };
+    for (int64_t i = 0; i < 3 * n; i++) {
+        double x = (double)points[i];
+        low[i % 3] = fmin(low[i % 3], x), high[i % 3] = fmax(high[i % 3], x);
+    }
+    add_numbers(f, "lowest_corner", 3, low, "m");
+    add_numbers(f, "highest_corner", 3, high, "m");
+}
+
+static hg_status about_groom(facts *f, const char *path)
+{
+    hg_groom *g;
+    HG_TRY(hg_groom_load(&g, path));
+    double shortest = INFINITY, longest = 0, sum = 0;
+    int64_t bound = 0, n = g->vertices;
+    for (int64_t s = 0; s < g->strands; s++) {
+        double length = 0;
+        for (int64_t v = 1; v < n; v++) {
+            hg_vec3f a = hg_vec3f_load(g->points + 3 * (s * n + v)), b = hg_vec3f_load(g->points + 3 * (s * n + v - 1));
+            length += hg_vec3d_distance(hg_vec3d_from_f(a), hg_vec3d_from_f(b));
+        }
+        shortest = fmin(shortest, length), longest = fmax(longest, length), sum += length;
+        bound += g->root_face[s] >= 0;
+    }
+    add_text(f, "name", g->name);
+    add_count(f, "strands", g->strands);
+    add_count(f, "vertices_per_strand", n);
+    add_number(f, "shortest", shortest, "m");
+    add_number(f, "mean_length", sum / (double)g->strands, "m");
+    add_number(f, "longest", longest, "m");
+    add_count(f, "bound_roots", bound);
+    add_extent(f, g->points, g->strands * n);
+    add_hash(f, "body_hash", g->body_hash);
+    add_hash(f, "hash", hg_groom_hash(g));
+    hg_groom_destroy(g);
+    return HG_OK;
+}
+
+static hg_status about_body(facts *f, const char *path)
+{
+    hg_body *b;
+    HG_TRY(hg_body_load(&b, path));
+    double area = 0;
+    for (int64_t i = 0; i < b->scalp_faces; i++) {
+        hg_vec3f p[3];
+        for (int c = 0; c < 3; c++)
+            p[c] = hg_vec3f_load(b->points + 3 * (int64_t)b->triangles[3 * (int64_t)b->scalp[i] + c]);
+        area += 0.5 * (double)hg_vec3f_norm(hg_vec3f_cross(hg_vec3f_sub(p[1], p[0]), hg_vec3f_sub(p[2], p[0])));
+    }
+    add_count(f, "vertices", b->vertices);
+    add_count(f, "faces", b->faces);
+    add_count(f, "joints", b->joints);
+    add_texts(f, "joint_names", b->joint_name, b->joints);
+    add_texts(f, "shapes", b->shape_name, HG_SHAPES);
+    add_numbers(f, "shape_spread", HG_SHAPES, b->shape_spread, "");
+    add_count(f, "scalp_faces", b->scalp_faces);
+    add_number(f, "scalp_area", area, "m2");
+    add_count(f, "collider_faces", b->collider_faces);
+    add_extent(f, b->points, b->vertices);
+    add_hash(f, "hash", hg_body_hash(b));
+    hg_body_destroy(b);
+    return HG_OK;
+}
+
+static int compare(const void *a, const void *b)
+{
+    double x = *(const double *)a, y = *(const double *)b;
+    return (x > y) - (x < y);
+}
+
+/* How fast the joint of this name turns against its parents' parents: the sum of local turns from Neck to Head. */
+static hg_status add_head_speed(facts *f, const hg_motion *m)
+{
+    static const char *const chain[3] = { "Neck", "Neck1", "Head" };
+    if (m->frames < 2) return HG_OK;
+    double *speed = hg_alloc((size_t)m->frames, sizeof *speed);
+    if (!speed) return HG_MEMORY;
+    hg_quatd before = hg_quatd_identity();
+    bool found = false;
+    for (int64_t t = 0; t < m->frames; t++) {
+        hg_quatd turn = hg_quatd_identity();
+        for (int i = 0; i < 3; i++)
+            for (int64_t j = 0; j < m->joints; j++) {
+                if (strcmp(m->joint_name[j], chain[i]) != 0) continue;
+                hg_quatd local = hg_quatd_from_f(hg_quatf_load(m->rotation + 4 * (t * m->joints + j)));
+                turn = hg_quatd_mul(turn, hg_quatd_normalize(local)), found = true;
+            }
+        hg_vec3d step = hg_quatd_to_rotation_vector(hg_quatd_mul(turn, hg_quatd_conj(before)));
+        if (t > 0) speed[t - 1] = hg_vec3d_norm(step) * m->rate * 180 / 3.14159265358979323846;
+        before = turn;
+    }
+    if (found) {
+        qsort(speed, (size_t)m->frames - 1, sizeof *speed, compare);
+        add_number(f, "head_speed_median", speed[(m->frames - 1) / 2], "degrees/s");
+        add_number(f, "head_speed_highest", speed[m->frames - 2], "degrees/s");
+    }
+    hg_free(speed);
+    return HG_OK;
+}
+
+static hg_status about_motion(facts *f, const char *path)
+{
+    hg_motion *m;
+    HG_TRY(hg_motion_load(&m, path, NULL));
+    add_text(f, "name", m->name);
+    add_count(f, "frames", m->frames);
+    add_number(f, "rate", m->rate, "1/s");
+    add_number(f, "seconds", (double)(m->frames - 1) / m->rate, "s");
+    add_count(f, "joints", m->joints);
+    add_texts(f, "joint_names", m->joint_name, m->joints);
+    hg_status status = add_head_speed(f, m);
+    add_extent(f, m->translation, m->frames);
+    hg_motion_destroy(m);
+    return status;
+}
+
+static void add_attribute(facts *f, hg_h5 *file, const char *object, const char *name)
+{
+    char *text;
+    double number;
+    if (hg_h5_get_text(file, object, name, &text) == HG_OK) {
+        add_text(f, name, text);
+        hg_free(text);
+    } else if (hg_h5_get_number(file, object, name, &number) == HG_OK) {
+        add_number(f, name, number, "");
+    }
+}
+
+static void add_shape(facts *f, hg_h5 *file, const char *name)
+{
+    int64_t shape[6];
+    int rank;
+    double sizes[6];
+    if (!hg_h5_has(file, name) || hg_h5_shape(file, name, &rank, shape) != HG_OK) return;
+    for (int i = 0; i < rank; i++) sizes[i] = (double)shape[i];
+    add_numbers(f, name + (name[0] == '/'), rank, sizes, "");
+}
+
+static void about_posed(facts *f, hg_h5 *file)
+{
+    static const char *const attributes[] = { "motion", "groom",   "rate",      "first_frame",
+                                              "unit",   "up_axis", "body_hash", "groom_hash" };
+    static const char *const datasets[] = { "/body_vertices", "/triangles",     "/joints", "/joint_rotation",
+                                            "/root_rotation", "/root_position", "/strands" };
+    for (size_t i = 0; i < sizeof attributes / sizeof *attributes; i++) add_attribute(f, file, "/", attributes[i]);
+    for (size_t i = 0; i < sizeof datasets / sizeof *datasets; i++) add_shape(f, file, datasets[i]);
+}
+
+static void about_drape(facts *f, hg_h5 *file)
+{
+    static const char *const attributes[] = { "T", "S", "V", "rate", "unit", "up", "generator" };
+    for (size_t i = 0; i < sizeof attributes / sizeof *attributes; i++) add_attribute(f, file, "/", attributes[i]);
+    add_attribute(f, file, "hairgrad", "body");
+    add_shape(f, file, "/VTKHDF/Points");
+}
+
+static void add_scalar(facts *f, hg_h5 *file, const char *name)
+{
+    double *value;
+    if (!hg_h5_has(file, name) || hg_h5_read(file, name, HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&value) != HG_OK)
+        return;
+    add_number(f, name + 1, value[0], "");
+    hg_free(value);
+}
+
+static void about_checkpoint(facts *f, hg_h5 *file)
+{
+    add_attribute(f, file, "/model", "kind");
+    add_attribute(f, file, "/", "backend");
+    add_attribute(f, file, "/", "config_hash");
+    add_scalar(f, file, "/step");
+    add_scalar(f, file, "/seconds");
+    add_scalar(f, file, "/best_validation");
+}
+
+static hg_status about_other(facts *f, hg_h5 *file, const char *path)
+{
+    if (hg_h5_has(file, "/VTKHDF")) {
+        add_text(f, "kind", "drape");
+        about_drape(f, file);
+    } else if (hg_h5_has(file, "/model")) {
+        add_text(f, "kind", "checkpoint");
+        about_checkpoint(f, file);
+    } else {
+        return hg_fail(HG_FORMAT,
+                       "%s: no groom, body, motion, posed scene, drape or checkpoint; docs/formats.md has them", path);
+    }
+    return HG_OK;
+}
+
+static hg_status about_file(facts *f, const char *path)
+{
+    hg_h5 *file;
+    char *format;
+    HG_TRY(hg_h5_open(&file, path));
+    if (hg_h5_get_text(file, "/", "format", &format) != HG_OK) {
+        hg_status status = about_other(f, file, path);
+        hg_h5_close(file);
+        return status;
+    }
+    static const struct {
+        const char *format;
+        hg_status (*about)(facts *, const char *);
+    } kinds[] = { { "hairgrad groom", about_groom },
+                  { "hairgrad body", about_body },
+                  { "hairgrad motion", about_motion } };
+    hg_status status = HG_OK;
+    bool posed = strcmp(format, "hairgrad posed scene") == 0;
+    add_text(f, "kind", strncmp(format, "hairgrad ", 9) ? format : format + 9);
+    if (posed) about_posed(f, file);
+    hg_h5_close(file);
+    for (int i = 0; i < 3; i++)
+        if (strcmp(format, kinds[i].format) == 0) status = kinds[i].about(f, path);
+    hg_free(format);
+    return status;
+}
+
+/* ---- the command -------------------------------------------------------------------------------------------- */
+
+/* A run folder is known by the checkpoint in it. */
+static hg_status about(facts *f, const char *path)
+{
+    char *checkpoint = hg_path_join(path, "checkpoint.h5");
+    if (!checkpoint) return HG_MEMORY;
+    if (!hg_file_exists(checkpoint)) {
+        hg_free(checkpoint);
+        return about_file(f, path);
+    }
+    add_text(f, "checkpoint", checkpoint);
+    hg_status status = about_file(f, checkpoint);
+    hg_free(checkpoint);
+    return status;
+}
+
+static int info(const hg_arguments *arguments)
+{
+    facts all = { .json = cli_flag(arguments, "json") };
+    if (all.json) hg_text_add(&all.out, "[");
+    for (int i = 0; i < arguments->n_free; i++) {
+        const char *path = arguments->free[i];
+        all.count = 0;
+        if (all.json)
+            hg_text_add(&all.out, "%s\n  {", i ? "," : "");
+        else
+            hg_text_add(&all.out, "%s%s\n", i ? "\n" : "", path);
+        if (all.json) add_text(&all, "file", path);
+        if (about(&all, path) != HG_OK) {
+            hg_text_free(&all.out);
+            return cli_fail();
+        }
+        if (all.json) hg_text_add(&all.out, "\n  }");
+    }
+    if (all.json) hg_text_add(&all.out, "\n]\n");
+    if (all.out.failed) {
+        hg_fail(HG_MEMORY, "out of memory");
+        return cli_fail();
+    }
+    fputs(all.out.data, stdout);
+    hg_text_free(&all.out);
+    return 0;
+}
+
+static const hg_argument info_options[] = { { "json", NULL, "as JSON, a list with one object per file", false } };
+
+HG_COMMAND(info, .what = "what a groom, body, motion, posed scene, drape, checkpoint or run holds", .usage = "FILE...",
+           .options = info_options, .n_options = 1, .min_free = 1, .max_free = 1000, .run = info);
