@@ -9,7 +9,7 @@ static hg_status export_run(hg_ctx *ctx, const char *run, const char *to, const 
     hg_hair_task *task = NULL;
     hg_status status = hg_hair_task_open(&task, ctx, run, &progress);
     if (status == HG_OK)
-        status = strcmp(to, "onnx") == 0 ? hg_export_hair_onnx(task, ctx, path) : hg_export_hair_h5(task, path);
+        status = strcmp(to, "onnx") == 0 ? hg_export_hair_onnx(task, ctx, path) : hg_export_hair_h5(task, ctx, path);
     cli_progress_end();
     if (status == HG_OK)
         printf("%s: %s network of %lld weights\n", path, hg_hair_model(task)->kind,

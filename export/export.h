@@ -26,7 +26,9 @@ typedef struct {
 } hg_onnx_options;
 hg_status hg_onnx_export(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input), void *self, const hg_onnx_options *options);
 hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path);  /* with units, input order, normalisation, groom hash */
-hg_status hg_export_hair_h5(hg_hair_task *task, const char *path);                 /* /model/<layer>/{weight,bias} and the feature table */
+/* /model/<layer>/{weight,bias}, the feature table, and /sample/{features,displacement}: rows of real input with the
+ * network's answers, to test a runtime of one's own with. */
+hg_status hg_export_hair_h5(hg_hair_task *task, hg_ctx *ctx, const char *path);
 
 /* ---- VTKHDF: PolyData with steps ---------------------------------------------------------------------------- */
 

@@ -6,6 +6,7 @@
 #include <string.h>
 
 #define MOST_METADATA 20
+#define SAMPLE_ROWS   16
 
 /* What stands beside the weights, as text. */
 typedef struct {
@@ -159,24 +160,59 @@ static hg_status write_features(hg_h5 *file, const hg_hair_task *task)
     return status;
 }
 
-static hg_status write_weights(hg_h5 *file, hg_hair_task *task, const description *about)
+/* Real inputs of a few strands spread over the groom, in the middle of a clip, and what the network answers. */
+static hg_status write_sample(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx)
+{
+    bool held_out = hg_hair_clips(task, true) > 0;
+    if (!held_out && hg_hair_clips(task, false) < 1) return HG_OK;
+    const hg_motion *clip = hg_hair_clip(task, held_out, 0);
+    int64_t strands = hg_hair_groom(task)->strands, rows = strands < SAMPLE_ROWS ? strands : SAMPLE_ROWS;
+    int64_t columns = columns_of(task), own = hg_hair_strand_inputs(task);
+    float *raw = hg_alloc((size_t)(rows * columns), sizeof *raw), *answer = NULL;
+    hg_status status = raw ? HG_OK : HG_MEMORY;
+    for (int64_t i = 0; status == HG_OK && i < rows; i++) {
+        int32_t strand = (int32_t)(i * strands / rows);
+        status = hg_hair_strand_features(task, ctx, &strand, 1, raw + i * columns);
+        if (status == HG_OK)
+            status = hg_hair_frame_features(task, ctx, clip, clip->frames / 2, NULL, raw + i * columns + own);
+    }
+    hg_no_grad_begin(ctx);
+    hg_tensor *in = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ rows, columns });
+    if (status == HG_OK) status = in ? hg_tensor_write(in, raw) : hg_ctx_status(ctx);
+    hg_tensor *out = status == HG_OK ? hg_hair_forward_concatenated(task, ctx, in) : NULL;
+    if (status == HG_OK && !out) status = hg_ctx_status(ctx);
+    if (status == HG_OK) {
+        answer = hg_alloc(1, hg_tensor_bytes(out) + 1);
+        status = answer ? hg_tensor_read(out, answer) : HG_MEMORY;
+    }
+    hg_no_grad_end(ctx);
+    if (status == HG_OK) status = hg_h5_write(file, "sample/features", HG_F32, 2, (int64_t[]){ rows, columns }, raw);
+    if (status == HG_OK) status = hg_h5_write(file, "sample/displacement", HG_F32, out->rank, out->shape, answer);
+    hg_free(raw);
+    hg_free(answer);
+    return status;
+}
+
+static hg_status write_weights(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx, const description *about)
 {
     const hg_model *model = hg_hair_model(task);
     HG_TRY(hg_h5_group(file, "model"));
     HG_TRY(hg_h5_set_text(file, "model", "kind", model->kind));
-    for (int i = 0; i < about->n; i++) HG_TRY(hg_h5_set_text(file, "", about->key[i], about->value[i]));
+    for (int i = 0; i < about->n; i++) /* the features have a table of their own; an attribute ends at 64 KiB */
+        if (strcmp(about->key[i], "features") != 0) HG_TRY(hg_h5_set_text(file, "", about->key[i], about->value[i]));
     for (int i = 0; i < model->n_params; i++) HG_TRY(write_parameter(file, model->params[i], i));
+    HG_TRY(write_sample(file, task, ctx));
     return write_features(file, task);
 }
 
-hg_status hg_export_hair_h5(hg_hair_task *task, const char *path)
+hg_status hg_export_hair_h5(hg_hair_task *task, hg_ctx *ctx, const char *path)
 {
     description about;
     HG_TRY(describe_hair(task, &about));
     hg_h5 *file = NULL;
     hg_status status = hg_h5_create(&file, path);
     if (status == HG_OK) {
-        status = write_weights(file, task, &about);
+        status = write_weights(file, task, ctx, &about);
         if (status == HG_OK)
             status = hg_h5_commit(file);
         else

@@ -346,6 +346,8 @@ int hg_hair_features(const hg_hair_task *task, const hg_feature **features)
     return task->n_features;
 }
 
+int hg_hair_strand_inputs(const hg_hair_task *task) { return task->strand_inputs; }
+
 void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out)
 {
     const double *mean = task->mean + task->strand_inputs, *deviation = task->deviation + task->strand_inputs;

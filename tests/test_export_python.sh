@@ -2,11 +2,23 @@
 # that hairgrad itself does not: without them the test is skipped. HG_PYTHON names the interpreter (default python3).
 build=${1:-build}
 python=${HG_PYTHON:-python3}
-if ! "$python" -c 'import numpy, onnx, onnxruntime, vtk' 2>/dev/null; then
-    echo "skipped: $python has not all of numpy, onnx, onnxruntime and vtk (HG_PYTHON names another interpreter)"
+if ! "$python" -c 'import h5py, numpy, onnx, onnxruntime, vtk' 2>/dev/null; then
+    echo "skipped: $python has not all of h5py, numpy, onnx, onnxruntime and vtk (HG_PYTHON names another interpreter)"
     exit 77
 fi
 folder=$(mktemp -d) || exit 1
 trap 'rm -rf "$folder"' EXIT
 HG_ONNX_DUMP=$folder "$build/tests/test_onnx" || exit 1
+
+# A hair network, hardly trained: what it answers natively stands in the HDF5 export.
+cat > "$folder/tiny.yaml" <<END
+scene: { strands: 80, vertices: 12, seconds: 1 s, motion_kinds: [turn], held_out_kinds: [shake] }
+model: { width: 16 }
+features: { history: 3, latent: 4, lock_size: 8, encoder_width: 16, encoder_steps: 20 }
+losses: { stretch: {}, gravity: {}, inertia: {} }
+training: { strands: 32, steps: 20, learning_rate: 1e-2, warm_up: 2, validate_every: 0, checkpoint_every: 0 }
+END
+"$build/hairgrad" train "$folder/tiny.yaml" -o "$folder/run" 2> "$folder/log" || { cat "$folder/log"; exit 1; }
+"$build/hairgrad" export "$folder/run" --to onnx -o "$folder/hair.network" || exit 1
+"$build/hairgrad" export "$folder/run" --to h5 -o "$folder/hair.h5" || exit 1
 "$python" "$HG_SOURCE/tests/reference/check_exports.py" "$folder"

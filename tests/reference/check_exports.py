@@ -1,8 +1,10 @@
 """Reads what tests/test_onnx wrote into a folder with the tools of others: onnx, ONNX Runtime, VTK."""
 import glob
+import json
 import os
 import sys
 
+import h5py
 import numpy as np
 import onnx
 import onnxruntime
@@ -29,6 +31,23 @@ for path in models:
         worst = max(worst, error)
         assert error < 1e-5, f"{stem}: differs by {error:g}"
 print(f"{len(models)} models, 1 and 7 rows: ONNX Runtime {onnxruntime.__version__} differs by at most {worst:.2g}")
+
+path = os.path.join(folder, "hair.network")
+model = onnx.load(path)
+onnx.checker.check_model(model, full_check=True)
+about = {p.key: p.value for p in model.metadata_props}
+session = onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"])
+with h5py.File(os.path.join(folder, "hair.h5")) as weights:
+    x, expected = weights["sample/features"][:], weights["sample/displacement"][:]
+    columns = json.loads(about["features"])
+    assert sum(c["count"] for c in columns) == x.shape[1]
+    assert [c["name"] for c in columns] == [n.decode() for n in weights["features/name"][:]]
+    for key in ("groom_hash", "body_hash", "dt", "vertices"):
+        assert about[key] == weights.attrs[key].decode(), key
+assert expected.shape[1] == 3 * (int(about["vertices"]) - 1) and np.abs(expected).max() > 1e-6
+error = np.abs(session.run(None, {"features": x})[0] - expected).max()
+assert error < 1e-5, f"hair network: differs by {error:g} m"
+print(f"hair network: ONNX Runtime differs by at most {error:.2g} m of {np.abs(expected).max():.2g} m")
 
 for name, cells in (("strands", 4), ("mesh", 2)):
     reader = vtk.vtkHDFReader()
