@@ -65,7 +65,18 @@ static void bench(hg_ctx *ctx, int64_t strands, hg_dtype dtype, int rounds)
         else
             ((float *)x->data)[i] = ((float *)predicted->data)[i] = (float)value;
     }
-    const hg_frame frame = { .predicted = predicted, .dt = 1.0 / 30 };
+    hg_tensor *rotation = hg_tensor_create(ctx, dtype, 3, (int64_t[]){ 1, strands, 4 });
+    hg_tensor *position = hg_tensor_create(ctx, dtype, 3, (int64_t[]){ 1, strands, 3 });
+    if (!rotation || !position) exit(1);
+    for (int64_t i = 0; i < strands; i++) {
+        if (dtype == HG_F64)
+            ((double *)rotation->data)[4 * i] = 1;
+        else
+            ((float *)rotation->data)[4 * i] = 1;
+    }
+    const hg_frame frame = {
+        .root_rotation = rotation, .root_position = position, .predicted = predicted, .dt = 1.0 / 30
+    };
     double energies[4];
     for (int round = 0; round < rounds; round++)
         for (int k = 0; k < 2; k++) {
@@ -83,6 +94,8 @@ static void bench(hg_ctx *ctx, int64_t strands, hg_dtype dtype, int rounds)
     hg_tensor_destroy(x);
     hg_tensor_destroy(predicted);
     hg_tensor_destroy(gradient);
+    hg_tensor_destroy(rotation);
+    hg_tensor_destroy(position);
     hg_free(rest);
 }
 

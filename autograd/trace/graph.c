@@ -293,7 +293,7 @@ static int simplify(hg_graph *graph, hg_node_op op, int a, int b, int c)
             return hg_graph_op(graph, HG_NODE_NEG, product, -1, -1);
         }
         /* literals and uniforms are collected: k1 (k2 x) = (k1 k2) x */
-        for (int side = 0; side < 2; side++) {
+        for (int side = 0; side < 2 && graph->hoist; side++) {
             const int slow = side ? b : a, fast = side ? a : b;
             const hg_node f = graph->nodes[fast];
             if (f.op != HG_NODE_MUL || graph->nodes[slow].rate > HG_RATE_UNIFORM || f.rate <= HG_RATE_UNIFORM) continue;
