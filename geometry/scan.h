@@ -26,7 +26,6 @@ static inline int hg_scan_f(const float *x, const float *y, const float *z, int3
         __m512 d2 = _mm512_add_ps(_mm512_add_ps(_mm512_mul_ps(dx, dx), _mm512_mul_ps(dy, dy)), _mm512_mul_ps(dz, dz));
         __mmask16 hit = _mm512_cmp_ps_mask(d2, r2, _CMP_LE_OQ);
         if (last - q < 16) hit &= (__mmask16)((1u << (last - q)) - 1);
-        if (!hit) continue;
         _mm512_storeu_si512(hits + n, _mm512_maskz_compress_epi32(hit, _mm512_add_epi32(_mm512_set1_epi32(q), lanes)));
         _mm512_storeu_ps(distance2 + n, _mm512_maskz_compress_ps(hit, d2));
         n += __builtin_popcount(hit);

@@ -1,6 +1,6 @@
 /* physics_field: energies of a sum over neighbours, such as the density of self collision.
  *
- *     field_i = m_i W(0) + sum over j within reach of m_j W(|x_i - x_j|),     E = sum_i f(field_i)
+ *     field_i = sum over j within reach, i itself included, of m_j W(|x_i - x_j|),     E = sum_i f(field_i)
  *     dE/dx_i = sum_j (f'_i m_j + f'_j m_i) W'(r) (x_i - x_j) / r
  *
  * Vertices are sorted into cells once per evaluation. Two walks over the neighbours follow, one for the sums and one for
@@ -28,7 +28,7 @@ typedef struct {
     int kernel_distance, field_input, field_rest_input, mass_input, attribute_input[HG_PASS_ATTRIBUTES];
     int n_attributes;
     hg_dtype dtype;
-    double weight, radius, kernel_at_zero;
+    double weight, radius;
     bool weighs; /* kernel_mass: kg */
     int64_t grooms, strands, vertices;
     hg_cells cells;
@@ -84,8 +84,6 @@ static hg_status make_functions(field_pass *pass, const hg_pass_setup *setup)
                               pass->kernel_inputs.inputs));
     HG_TRY(hg_function_create(&pass->kernel_slope, energy->kernel, &scope, 1, &pass->kernel_distance,
                               pass->kernel_inputs.n, pass->kernel_inputs.inputs));
-    const void *in[HG_PASS_INPUTS] = { NULL };
-    hg_function_run(pass->kernel, HG_F64, 1, in, pass->kernel_inputs.uniform, (void *[]){ &pass->kernel_at_zero });
 
     hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_FIELD);
     uint32_t kinds = 0;

@@ -34,20 +34,25 @@ static hg_real HG_P(sum)(const hg_real *values, int n)
     return total;
 }
 
-/* Appends the neighbours of `place` within one run of places; those without a slope are left out when asked. */
-static void HG_P(gather)(const hg_cells *cells, int64_t place, int32_t first, int32_t last, hg_real radius2,
-                         const hg_real *slope, HG_P(gathered) * to)
+/* Appends the neighbours of `place`, itself included, within one run of places; where `slope` is given, only those that
+ * have one. */
+static inline void HG_P(gather)(const hg_cells *cells, int64_t place, int32_t first, int32_t last, hg_real radius2,
+                                const hg_real *slope, HG_P(gathered) * to)
 {
     const hg_real *x = cells->x, *y = cells->y, *z = cells->z;
     int32_t *hits = to->place + to->n;
     hg_real *distance2 = to->value + to->n;
-    int n = HG_P(hg_scan)(x, y, z, first, last, x[place], y[place], z[place], radius2, hits, distance2), kept = 0;
-    for (int h = 0; h < n; h++) {
-        hits[kept] = hits[h];
-        distance2[kept] = distance2[h];
-        kept += hits[h] != place && (!slope || slope[hits[h]] != 0);
+    int n = HG_P(hg_scan)(x, y, z, first, last, x[place], y[place], z[place], radius2, hits, distance2);
+    if (slope) {
+        int kept = 0;
+        for (int h = 0; h < n; h++) { /* written always, kept sometimes: no branch to mispredict */
+            hits[kept] = hits[h];
+            distance2[kept] = distance2[h];
+            kept += slope[hits[h]] != 0;
+        }
+        n = kept;
     }
-    to->n += kept;
+    to->n += n;
 }
 
 /* Value or derivative of the kernel at every gathered distance. */
@@ -149,8 +154,7 @@ static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, 
 static void HG_P(sum_field)(const void *args, int64_t first, int64_t last)
 {
     const HG_P(field_args) *a = args;
-    for (int64_t i = first; i < last; i++) /* the vertex itself */
-        a->field[a->cells->index[i]] = (hg_real)a->pass->kernel_at_zero * (a->mass ? a->mass[i] : 1);
+    for (int64_t i = first; i < last; i++) a->field[a->cells->index[i]] = 0;
     HG_P(walk)(a, first, last, false);
 }
 
