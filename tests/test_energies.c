@@ -445,7 +445,15 @@ static void check_rest(const variant *v, void *self)
     if (!v->term.energy->zero_at_rest) return;
     scene s;
     scene_make(&s, 2, 2, 8, 8, 0);
+    const double q[4] = { 0.5, 0.1, -0.7, 0.5 }, shift[3] = { 0.3, -0.2, 0.5 };
+    for (int64_t i = 0; i < s.B * s.S; i++) { /* the head at rest, then moved as a whole */
+        memcpy(s.rotation + 4 * i, (double[]){ 1, 0, 0, 0 }, 4 * sizeof(double));
+        memcpy(s.position + 3 * i, s.rest + (s.groom[i / s.S] * s.S + i % s.S) * s.V * 3, 3 * sizeof(double));
+    }
+    make_posed(&s);
+    memcpy(s.x, s.posed, (size_t)(s.B * s.S * s.V * 3) * sizeof(double));
     for (int64_t i = 0; i < s.B * 8; i++) s.body[3 * i + 1] -= 1; /* the body is away */
+    if (v->term.energy->rigid_invariant) move_rigidly(&s, q, shift);
     result a = evaluate(&s, HG_F64, 1, &v->term, 1, HG_BACKEND_INTERPRETER, false, v->label, NULL);
     double largest = 0;
     for (int64_t i = 0; i < s.B * s.S * s.V * 3; i++) largest = fmax(largest, fabs(a.gradient[i]));
