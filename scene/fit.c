@@ -3,7 +3,7 @@
  * The similarity between the heads is found by trimmed iterative closest points without rotation: skulls are nearly
  * spheres, so a free rotation drifts. Roots are then projected to the scalp and strands follow; vertices that end inside
  * the body are pushed out along the exact distance, once, at rest: displacements are smoothed along the strand, and the
- * strand is resampled by arc length, so that neither kinks nor uneven edges become part of the rest shape. */
+ * strand is resampled by arc length, several times over, so that kinks and uneven edges stay small. */
 #include "scene/internal.h"
 #include "scene/scene.h"
 
@@ -226,7 +226,8 @@ hg_status hg_fit_similarity(hg_ctx *ctx, const hg_body *body, int64_t n_vertices
 #define MARGIN      1e-3 /* [m] how far outside vertices are put, before resampling */
 #define LAST_MARGIN 5e-4 /* after it */
 #define NEAR_ROOT   0.25 /* of the arc length from the root: the margin grows from 0 at the root */
-#define PUSH_ROUNDS 4
+#define PUSH_CYCLES 6    /* of pushing and resampling */
+#define PUSH_ROUNDS 2    /* of pushing in a cycle */
 #define LAST_ROUNDS 16
 
 typedef struct {
@@ -239,7 +240,7 @@ typedef struct {
 } push;
 
 /* The displacement of every vertex of one strand; need is what takes an inside vertex to the margin. */
-static bool push_strand(push *p, int64_t strand, double margin, bool smooth)
+static bool push_strand(push *p, int64_t strand, double margin)
 {
     int64_t n = p->vertices, first = strand * n;
     double *x = p->x + 3 * first;
@@ -254,7 +255,7 @@ static bool push_strand(push *p, int64_t strand, double margin, bool smooth)
     }
     if (!any) return false;
     memcpy(p->displacement, p->need, (size_t)(3 * n) * sizeof *p->need);
-    for (int pass = 0; smooth && pass < 2; pass++) {
+    for (int pass = 0; pass < 2; pass++) {
         memcpy(p->smooth, p->displacement, (size_t)(3 * n) * sizeof *p->smooth);
         for (int64_t i = 3; i < 3 * n; i++)
             p->displacement[i] =
@@ -271,13 +272,13 @@ static bool push_strand(push *p, int64_t strand, double margin, bool smooth)
     return true;
 }
 
-static hg_status push_rounds(push *p, int rounds, double margin, bool smooth)
+static hg_status push_rounds(push *p, int rounds, double margin)
 {
     bool any = true;
     for (int round = 0; round < rounds && any; round++) {
         HG_TRY(surface_query(&p->body, p->strands * p->vertices, p->x));
         any = false;
-        for (int64_t s = 0; s < p->strands; s++) any |= push_strand(p, s, margin, smooth);
+        for (int64_t s = 0; s < p->strands; s++) any |= push_strand(p, s, margin);
     }
     return HG_OK;
 }
@@ -322,11 +323,11 @@ static hg_status push_out(hg_ctx *ctx, const hg_body *body, hg_groom *groom, hg_
         status = surface_make(&p.body, ctx, body, 0, NULL, count);
     }
     if (status == HG_OK) status = count_inside(&p, &report->inside_before);
-    if (status == HG_OK) status = push_rounds(&p, PUSH_ROUNDS, MARGIN, true);
-    if (status == HG_OK) {
+    for (int cycle = 0; status == HG_OK && cycle < PUSH_CYCLES; cycle++) {
+        status = push_rounds(&p, PUSH_ROUNDS, MARGIN);
         resample_moved(&p, strand);
-        status = push_rounds(&p, LAST_ROUNDS, LAST_MARGIN, false);
     }
+    if (status == HG_OK) status = push_rounds(&p, LAST_ROUNDS, LAST_MARGIN);
     if (status == HG_OK) status = count_inside(&p, &report->inside_after);
     for (int64_t s = 0; status == HG_OK && s < groom->strands; s++)
         for (int64_t i = 3 * s * n; p.moved[s] && i < 3 * (s + 1) * n; i++) groom->points[i] = (float)p.x[i];
