@@ -2,6 +2,9 @@
  * (Gibson 1998): one vertex per grid cell that the surface passes, drawn onto the surface and evened out along it. */
 #include "scene/bust.h"
 
+#include <stdlib.h>
+#include <string.h>
+
 /* ---- the implicit surface ----------------------------------------------------------------------------------- */
 
 /* Distance to an ellipsoid, exact to first order near its surface. */
@@ -36,21 +39,23 @@ static double cut(double a, double b, double k) { return -join(-a, -b, k); }
 /* x is |x|: both sides are the same. */
 static double head_distance(hg_vec3d p)
 {
-    double d = ellipsoid(p, AT(0, 0.758, 0.026), AT(0.0765, 0.084, 0.0955));                 /* cranium */
-    d = join(d, ellipsoid(p, AT(0, 0.742, 0.078), AT(0.0655, 0.062, 0.056)), 0.03);          /* forehead and temples */
-    d = join(d, ellipsoid(p, AT(0, 0.686, 0.070), AT(0.0575, 0.072, 0.058)), 0.04);          /* face */
-    d = join(d, ellipsoid(p, AT(0.028, 0.660, 0.055), AT(0.028, 0.032, 0.045)), 0.03);       /* jaw */
-    d = join(d, ellipsoid(p, AT(0, 0.632, 0.112), AT(0.022, 0.017, 0.017)), 0.03);           /* chin */
-    d = join(d, ellipsoid(p, AT(0.037, 0.706, 0.104), AT(0.022, 0.018, 0.020)), 0.025);      /* cheekbone */
-    d = join(d, ellipsoid(p, AT(0.024, 0.754, 0.126), AT(0.026, 0.009, 0.010)), 0.02);       /* brow */
-    d = cut(d, -ellipsoid(p, AT(0.032, 0.737, 0.142), AT(0.019, 0.012, 0.015)), 0.012);      /* eye socket */
-    d = join(d, ellipsoid(p, AT(0.031, 0.736, 0.119), AT(0.013, 0.012, 0.013)), 0.006);      /* eye */
-    d = join(d, capsule(p, AT(0, 0.742, 0.131), 0.007, AT(0, 0.705, 0.146), 0.0110), 0.014); /* nose */
-    d = join(d, ellipsoid(p, AT(0.011, 0.701, 0.139), AT(0.008, 0.008, 0.010)), 0.008);
-    d = join(d, ellipsoid(p, AT(0, 0.680, 0.108), AT(0.032, 0.026, 0.024)), 0.016);  /* round the mouth */
-    d = join(d, ellipsoid(p, AT(0, 0.673, 0.127), AT(0.021, 0.0065, 0.009)), 0.006); /* lips */
-    d = join(d, ellipsoid(p, AT(0, 0.661, 0.125), AT(0.018, 0.007, 0.009)), 0.006);
-    return join(d, ellipsoid(p, AT(0.078, 0.722, 0.022), AT(0.0085, 0.031, 0.018)), 0.010); /* ear */
+    double d = ellipsoid(p, AT(0, 0.758, 0.026), AT(0.0765, 0.084, 0.0955));                /* cranium */
+    d = join(d, ellipsoid(p, AT(0, 0.742, 0.078), AT(0.0655, 0.062, 0.056)), 0.03);         /* forehead and temples */
+    d = join(d, ellipsoid(p, AT(0, 0.686, 0.070), AT(0.0575, 0.072, 0.058)), 0.04);         /* face */
+    d = join(d, ellipsoid(p, AT(0.028, 0.660, 0.055), AT(0.028, 0.032, 0.045)), 0.03);      /* jaw */
+    d = join(d, ellipsoid(p, AT(0, 0.632, 0.112), AT(0.022, 0.017, 0.017)), 0.03);          /* chin */
+    d = join(d, ellipsoid(p, AT(0.037, 0.706, 0.104), AT(0.022, 0.018, 0.020)), 0.025);     /* cheekbone */
+    d = join(d, ellipsoid(p, AT(0.026, 0.7545, 0.124), AT(0.026, 0.008, 0.010)), 0.018);    /* brow */
+    d = cut(d, -ellipsoid(p, AT(0.0315, 0.736, 0.143), AT(0.019, 0.0125, 0.019)), 0.010);   /* eye socket */
+    d = join(d, ellipsoid(p, AT(0.0315, 0.736, 0.114), AT(0.0125, 0.0115, 0.0125)), 0.003); /* eye */
+    d = cut(d, 0.0012 - capsule(p, AT(0.020, 0.7345, 0.130), 0, AT(0.043, 0.7345, 0.120), 0), 0.003); /* lids */
+    d = join(d, capsule(p, AT(0, 0.744, 0.128), 0.006, AT(0, 0.706, 0.147), 0.0100), 0.012);          /* nose */
+    d = join(d, ellipsoid(p, AT(0.0105, 0.702, 0.139), AT(0.0075, 0.0075, 0.010)), 0.006);            /* its wings */
+    d = join(d, ellipsoid(p, AT(0, 0.679, 0.106), AT(0.033, 0.028, 0.024)), 0.016);        /* round the mouth */
+    d = join(d, ellipsoid(p, AT(0.005, 0.6740, 0.1285), AT(0.017, 0.0055, 0.008)), 0.005); /* lips */
+    d = join(d, ellipsoid(p, AT(0, 0.6630, 0.1270), AT(0.016, 0.0065, 0.008)), 0.005);
+    d = cut(d, 0.0022 - capsule(p, AT(0, 0.6685, 0.1350), 0, AT(0.025, 0.6680, 0.123), 0), 0.003); /* mouth */
+    return join(d, ellipsoid(p, AT(0.078, 0.722, 0.022), AT(0.0085, 0.031, 0.018)), 0.010);        /* ear */
 }
 
 static double neck_distance(hg_vec3d p)
@@ -135,8 +140,10 @@ static bool cell_vertex(const net *g, int x, int y, int z, hg_vec3d *vertex)
 static hg_vec3d onto_surface(hg_vec3d p)
 {
     for (int i = 0; i < 4; i++) {
+        double distance = bust_measure(p).all;
+        if (fabs(distance) < 1e-7) break;
         hg_vec3d slope = gradient(p);
-        p = hg_vec3d_add_scaled(p, -bust_measure(p).all / fmax(hg_vec3d_norm2(slope), 0.1), slope);
+        p = hg_vec3d_add_scaled(p, -distance / fmax(hg_vec3d_norm2(slope), 0.1), slope);
     }
     return p;
 }
@@ -169,28 +176,34 @@ static int64_t net_faces(const net *g, const hg_vec3d *at, int32_t *triangles)
     return faces;
 }
 
+typedef struct {
+    int64_t vertices, faces;
+    hg_vec3d *at;
+    int32_t *triangles;
+} mesh;
+
 /* Moves vertices towards the mean of their neighbours and back onto the surface: triangles of even size. */
-static void relax(int64_t vertices, hg_vec3d *at, hg_vec3d *sum, int64_t faces, const int32_t *triangles)
+static hg_status relax(mesh *m, int rounds)
 {
-    for (int round = 0; round < 6; round++) {
-        for (int64_t v = 0; v < 2 * vertices; v++) sum[v] = (hg_vec3d){ 0 };
-        for (int64_t f = 0; f < faces; f++)
-            for (int c = 0; c < 3; c++) {
-                int32_t a = triangles[3 * f + c], b = triangles[3 * f + (c + 1) % 3];
-                sum[2 * a] = hg_vec3d_add(sum[2 * a], at[b]), sum[2 * a + 1].x++;
-                sum[2 * b] = hg_vec3d_add(sum[2 * b], at[a]), sum[2 * b + 1].x++;
-            }
-        for (int64_t v = 0; v < vertices; v++) {
-            hg_vec3d mean = hg_vec3d_scale(sum[2 * v], 1 / sum[2 * v + 1].x);
-            at[v] = onto_surface(hg_vec3d_mix(at[v], mean, 0.5));
+    hg_vec3d *sum = hg_alloc((size_t)m->vertices, sizeof *sum);
+    double *count = hg_alloc((size_t)m->vertices, sizeof *count);
+    for (int round = 0; round < rounds && sum && count; round++) {
+        for (int64_t v = 0; v < m->vertices; v++) sum[v] = (hg_vec3d){ 0 }, count[v] = 0;
+        for (int64_t i = 0; i < 3 * m->faces; i++) { /* each edge is met once in each direction */
+            int32_t a = m->triangles[i], b = m->triangles[i % 3 == 2 ? i - 2 : i + 1];
+            sum[a] = hg_vec3d_add(sum[a], m->at[b]), count[a]++;
         }
+        for (int64_t v = 0; v < m->vertices; v++)
+            m->at[v] = onto_surface(hg_vec3d_mix(m->at[v], hg_vec3d_scale(sum[v], 1 / count[v]), 0.5));
     }
+    hg_status status = sum && count ? HG_OK : HG_MEMORY;
+    hg_free(sum);
+    hg_free(count);
+    return status;
 }
 
-static hg_status net_mesh(net *g, int64_t *vertices, float **points, int64_t *faces, int32_t **triangles)
+static hg_status net_create(net *g, mesh *m)
 {
-    hg_vec3d *at = NULL, *sum = NULL;
-    hg_status status = HG_MEMORY;
     for (int z = 0; z < g->n[2]; z++)
         for (int y = 0; y < g->n[1]; y++)
             for (int x = 0; x < g->n[0]; x++) {
@@ -198,49 +211,135 @@ static hg_status net_mesh(net *g, int64_t *vertices, float **points, int64_t *fa
                 g->vertex[net_index(g, x, y, z)] = -1;
             }
     for (int pass = 0; pass < 2; pass++) { /* count, then place */
-        *vertices = 0;
+        m->vertices = 0;
         for (int z = 0; z + 1 < g->n[2]; z++)
             for (int y = 0; y + 1 < g->n[1]; y++)
                 for (int x = 0; x + 1 < g->n[0]; x++) {
                     hg_vec3d p;
                     if (!cell_vertex(g, x, y, z, &p)) continue;
-                    if (pass) at[*vertices] = onto_surface(p);
-                    g->vertex[net_index(g, x, y, z)] = (int32_t)(*vertices)++;
+                    if (pass) m->at[m->vertices] = onto_surface(p);
+                    g->vertex[net_index(g, x, y, z)] = (int32_t)m->vertices++;
                 }
-        if (pass == 0 && !(at = hg_alloc((size_t)*vertices, sizeof *at))) goto done;
+        if (pass == 0 && !(m->at = hg_alloc((size_t)m->vertices, sizeof *m->at))) return HG_MEMORY;
     }
-    *faces = net_faces(g, at, NULL);
-    *triangles = hg_alloc((size_t)*faces, 3 * sizeof **triangles);
-    *points = hg_alloc((size_t)*vertices, 3 * sizeof **points);
-    sum = hg_alloc((size_t)*vertices, 2 * sizeof *sum);
-    if (!*triangles || !*points || !sum) goto done;
-    net_faces(g, at, *triangles);
-    relax(*vertices, at, sum, *faces, *triangles);
-    net_faces(g, at, *triangles); /* the diagonals that are shorter now */
-    for (int64_t v = 0; v < *vertices; v++) scene_put(*points + 3 * v, at[v]);
-    status = HG_OK;
-done:
-    hg_free(at);
-    hg_free(sum);
-    return status;
+    m->faces = net_faces(g, m->at, NULL);
+    m->triangles = hg_alloc((size_t)m->faces, 3 * sizeof *m->triangles);
+    if (!m->triangles) return HG_MEMORY;
+    net_faces(g, m->at, m->triangles);
+    HG_TRY(relax(m, 6));
+    net_faces(g, m->at, m->triangles); /* the diagonals that are shorter now */
+    return HG_OK;
+}
+
+/* ---- finer in the face -------------------------------------------------------------------------------------- */
+
+static bool in_face(hg_vec3d p) { return p.z > 0.075 && p.y > 0.605 && p.y < 0.775 && fabs(p.x) < 0.065; }
+
+typedef struct {
+    int32_t a, b; /* a < b */
+} edge;
+
+static int compare_edges(const void *left, const void *right)
+{
+    const edge *x = left, *y = right;
+    return x->a != y->a ? (x->a > y->a) - (x->a < y->a) : (x->b > y->b) - (x->b < y->b);
+}
+
+/* Number among the edges that are cut, -1: not cut. */
+static int64_t find_edge(const edge *edges, int64_t n, int32_t a, int32_t b)
+{
+    edge key = { a < b ? a : b, a < b ? b : a };
+    const edge *found = bsearch(&key, edges, (size_t)n, sizeof key, compare_edges);
+    return found ? found - edges : -1;
+}
+
+/* The triangles that take the place of one whose edges (0-1, 1-2, 2-0) have the middles `m`, -1: none. Returns how many. */
+static int cut_triangle(const int32_t corner[3], const int32_t m[3], int32_t out[12])
+{
+    int cuts = (m[0] >= 0) + (m[1] >= 0) + (m[2] >= 0), k = 0;
+    if (cuts == 3) {
+        const int32_t four[12] = {
+            corner[0], m[0], m[2], corner[1], m[1], m[0], corner[2], m[2], m[1], m[0], m[1], m[2]
+        };
+        memcpy(out, four, sizeof four);
+        return 4;
+    }
+    if (cuts == 0) {
+        memcpy(out, corner, 3 * sizeof *out);
+        return 1;
+    }
+    while (cuts == 1 ? m[k] < 0 : m[k] >= 0) k++; /* the edge that is cut; of two, the one that is not */
+    int32_t a = corner[k], b = corner[(k + 1) % 3], c = corner[(k + 2) % 3];
+    if (cuts == 1) {
+        const int32_t two[6] = { a, m[k], c, m[k], b, c };
+        memcpy(out, two, sizeof two);
+        return 2;
+    }
+    int32_t bc = m[(k + 1) % 3], ca = m[(k + 2) % 3];
+    const int32_t three[9] = { a, b, bc, a, bc, ca, ca, bc, c };
+    memcpy(out, three, sizeof three);
+    return 3;
+}
+
+/* Cuts every edge of the face in two, and the triangles with them. */
+static hg_status refine_face(mesh *m)
+{
+    int64_t n = 0, faces = 0;
+    edge *edges = hg_alloc((size_t)m->faces, 3 * sizeof *edges);
+    int32_t *triangles = hg_alloc((size_t)m->faces, 12 * sizeof *triangles);
+    hg_vec3d *at = NULL;
+    if (edges && triangles) {
+        for (int64_t i = 0; i < 3 * m->faces; i++) {
+            int32_t a = m->triangles[i], b = m->triangles[i % 3 == 2 ? i - 2 : i + 1];
+            if (a < b && in_face(hg_vec3d_mix(m->at[a], m->at[b], 0.5))) edges[n++] = (edge){ a, b };
+        }
+        qsort(edges, (size_t)n, sizeof *edges, compare_edges);
+        at = hg_resize(m->at, (size_t)m->vertices, (size_t)(m->vertices + n), sizeof *at);
+    }
+    if (!at) {
+        hg_free(edges);
+        hg_free(triangles);
+        return HG_MEMORY;
+    }
+    m->at = at;
+    for (int64_t i = 0; i < n; i++)
+        at[m->vertices + i] = onto_surface(hg_vec3d_mix(at[edges[i].a], at[edges[i].b], 0.5));
+    for (int64_t f = 0; f < m->faces; f++) {
+        const int32_t *t = m->triangles + 3 * f;
+        int32_t middle[3];
+        for (int k = 0; k < 3; k++) {
+            int64_t cut = find_edge(edges, n, t[k], t[(k + 1) % 3]);
+            middle[k] = cut < 0 ? -1 : (int32_t)(m->vertices + cut);
+        }
+        faces += cut_triangle(t, middle, triangles + 3 * faces);
+    }
+    hg_free(edges);
+    hg_free(m->triangles);
+    m->triangles = triangles, m->vertices += n, m->faces = faces;
+    return relax(m, 2);
 }
 
 hg_status bust_mesh(double cell, int64_t *vertices, float **points, int64_t *faces, int32_t **triangles)
 {
     net g = { .cell = cell };
+    mesh m = { 0 };
     *points = NULL, *triangles = NULL;
     g.n[0] = 2 * (int)ceil(high[0] / cell) + 1;
     for (int i = 1; i < 3; i++) g.n[i] = (int)ceil((high[i] - low[i]) / cell) + 1;
     size_t count = (size_t)g.n[0] * (size_t)g.n[1] * (size_t)g.n[2];
     g.value = hg_alloc(count, sizeof *g.value);
     g.vertex = hg_alloc(count, sizeof *g.vertex);
-    hg_status status = g.value && g.vertex ? net_mesh(&g, vertices, points, faces, triangles) : HG_MEMORY;
+    hg_status status = g.value && g.vertex ? net_create(&g, &m) : HG_MEMORY;
     hg_free(g.value);
     hg_free(g.vertex);
+    if (status == HG_OK) status = refine_face(&m);
+    if (status == HG_OK && !(*points = hg_alloc((size_t)m.vertices, 3 * sizeof **points))) status = HG_MEMORY;
+    for (int64_t v = 0; status == HG_OK && v < m.vertices; v++) scene_put(*points + 3 * v, m.at[v]);
+    hg_free(m.at);
     if (status != HG_OK) {
-        hg_free(*points);
-        hg_free(*triangles);
-        *points = NULL, *triangles = NULL;
+        hg_free(m.triangles);
+        return status;
     }
-    return status;
+    *vertices = m.vertices, *faces = m.faces, *triangles = m.triangles;
+    return HG_OK;
 }
