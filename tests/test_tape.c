@@ -1,0 +1,416 @@
+/* autograd/: the tape. Recording, backward, detached and gradient-free parts, overwritten tensors, errors, drawing, and
+ * a steady state that takes no memory. */
+#include "test.h"
+
+#include "autograd/autograd.h"
+
+static hg_ctx *make_ctx(void)
+{
+    hg_ctx *ctx;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2 }), HG_OK);
+    return ctx;
+}
+
+static hg_tensor *leaf(hg_ctx *ctx, const char *name, int64_t n, const float *values)
+{
+    hg_tensor *x = hg_tensor_create(ctx, HG_F32, 1, &n);
+    assert_int_equal(hg_tensor_write(x, values), HG_OK);
+    assert_int_equal(hg_require_grad(x), HG_OK);
+    x->name = name;
+    return x;
+}
+
+static void gradient_is(const hg_tensor *x, int64_t n, const double *expected)
+{
+    assert_non_null(hg_grad(x));
+    for (int64_t i = 0; i < n; i++)
+        if (!(fabs(hg_tensor_item(hg_grad(x), i) - expected[i]) <= 1e-6))
+            fail_msg("gradient %lld is %g, expected %g", (long long)i, hg_tensor_item(hg_grad(x), i), expected[i]);
+}
+
+static void test_manual_example(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 3, 4 });
+    assert_int_equal(hg_tensor_fill(x, 1), HG_OK);
+    hg_tensor *w = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ 4, 2 });
+    assert_int_equal(hg_tensor_fill(w, 0.5), HG_OK);
+    assert_int_equal(hg_require_grad(w), HG_OK);
+    hg_tensor *loss = hg_sum(ctx, hg_square(ctx, hg_matmul(ctx, x, w)));
+    assert_int_equal(hg_backward(ctx, loss), HG_OK);
+    assert_true(hg_tensor_item(loss, 0) == 24);
+    for (int i = 0; i < 8; i++) assert_true(hg_tensor_item(hg_grad(w), i) == 12);
+    hg_step_reset(ctx);
+    assert_true(hg_tensor_item(hg_grad(w), 0) == 12); /* a leaf's gradient outlives the step */
+    hg_tensor_destroy(w);
+    hg_ctx_destroy(ctx);
+}
+
+/* d/da and d/db of sum(a b + a), a used twice; then again, and from another loss. */
+static void test_backward_accumulates_within_and_zeroes_between(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 }), *b = leaf(ctx, "b", 2, (float[]){ 5, 7 });
+    hg_tensor *c = leaf(ctx, "c", 1, (float[]){ 1 });
+    hg_tensor *loss = hg_sum(ctx, hg_add(ctx, hg_mul(ctx, a, b), a));
+    for (int i = 0; i < 2; i++) {
+        assert_int_equal(hg_backward(ctx, loss), HG_OK);
+        gradient_is(a, 2, (double[]){ 6, 8 });
+        gradient_is(b, 2, (double[]){ 2, 3 });
+        gradient_is(c, 1, (double[]){ 0 });
+    }
+    assert_int_equal(hg_backward(ctx, hg_sum(ctx, hg_square(ctx, b))), HG_OK);
+    gradient_is(a, 2, (double[]){ 0, 0 }); /* takes no part in this loss */
+    gradient_is(b, 2, (double[]){ 10, 14 });
+    hg_tensor *owned[] = { a, b, c };
+    for (int i = 0; i < 3; i++) hg_tensor_destroy(owned[i]);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_detach_and_no_grad(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 });
+    assert_int_equal(hg_backward(ctx, hg_sum(ctx, hg_mul(ctx, a, hg_detach(ctx, a)))), HG_OK);
+    gradient_is(a, 2, (double[]){ 2, 3 });
+    hg_no_grad_begin(ctx);
+    hg_no_grad_begin(ctx);
+    hg_no_grad_end(ctx);
+    int before = hg_tape_count(ctx);
+    hg_tensor *square = hg_square(ctx, a);
+    assert_int_equal(hg_tape_count(ctx), before);
+    hg_no_grad_end(ctx);
+    assert_false(hg_needs_grad(square));
+    assert_true(hg_tensor_item(square, 1) == 9);
+    assert_int_equal(hg_backward(ctx, square), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "does not depend"));
+    hg_ctx_clear(ctx);
+    assert_int_equal(hg_backward(ctx, hg_sum(ctx, hg_mul(ctx, square, a))), HG_OK);
+    gradient_is(a, 2, (double[]){ 4, 9 });
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_gradients_of_the_middle(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 });
+    hg_tensor *middle = hg_square(ctx, a), *unused = hg_exp(ctx, a);
+    hg_tensor *step_leaf = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 2 });
+    assert_int_equal(hg_tensor_fill(step_leaf, 1), HG_OK);
+    assert_int_equal(hg_require_grad(step_leaf), HG_OK);
+    assert_null(hg_grad(middle));
+    assert_int_equal(
+        hg_backward(ctx, hg_sum(ctx, hg_mul(ctx, step_leaf, hg_reshape(ctx, middle, 1, (int64_t[]){ -1 })))), HG_OK);
+    gradient_is(middle, 2, (double[]){ 1, 1 });
+    gradient_is(step_leaf, 2, (double[]){ 4, 9 });
+    assert_null(hg_grad(unused));
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_seeded(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 });
+    hg_tensor *y = hg_square(ctx, a), *seed = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 2 });
+    assert_int_equal(hg_tensor_write(seed, (float[]){ 10, 100 }), HG_OK);
+    assert_int_equal(hg_backward_seeded(ctx, y, seed), HG_OK);
+    gradient_is(a, 2, (double[]){ 40, 600 });
+    assert_int_equal(hg_backward(ctx, y), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "one element, not f32 [2]"));
+    hg_ctx_clear(ctx);
+    assert_int_equal(hg_backward_seeded(ctx, y, hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 3 })), HG_INVALID);
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_overwritten(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "stiffness", 2, (float[]){ 2, 3 });
+    hg_tensor *middle = hg_exp(ctx, a);
+    hg_tensor *loss = hg_sum(ctx, hg_square(ctx, middle));
+    hg_tensor_touch(middle);
+    assert_int_equal(hg_backward(ctx, loss), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "backward of square"));
+    assert_non_null(strstr(hg_ctx_message(ctx), "made by exp"));
+    assert_non_null(strstr(hg_ctx_message(ctx), "test_tape.c:"));
+    hg_ctx_clear(ctx);
+    /* A leaf, through a view of it, and through rows of it. */
+    loss = hg_sum(ctx, hg_square(ctx, hg_reshape(ctx, a, 2, (int64_t[]){ 2, 1 })));
+    assert_int_equal(hg_backward(ctx, loss), HG_OK);
+    assert_int_equal(hg_tensor_fill(hg_tensor_rows(ctx, a, 0, 1), 7), HG_OK);
+    assert_int_equal(hg_backward(ctx, loss), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "made by reshape"));
+    hg_ctx_clear(ctx);
+    loss = hg_sum(ctx, hg_mul(ctx, a, a));
+    assert_int_equal(hg_tensor_fill(a, 1), HG_OK);
+    assert_int_equal(hg_backward(ctx, loss), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "stiffness"));
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- errors ---- */
+
+static void test_errors_run_through_a_formula(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 3, 4 }),
+              *b = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 5, 2 });
+    int line = __LINE__ + 1;
+    hg_tensor *bad = hg_matmul(ctx, a, b);
+    assert_null(bad);
+    assert_null(hg_sum(ctx, hg_square(ctx, hg_add(ctx, bad, a)))); /* NULL goes through */
+    char place[64];
+    snprintf(place, sizeof place, "test_tape.c:%d)", line);
+    assert_int_equal(hg_ctx_status(ctx), HG_INVALID);
+    assert_non_null(strstr(hg_ctx_message(ctx), "matmul: "));
+    assert_non_null(strstr(hg_ctx_message(ctx), "f32 [3,4], f32 [5,2]"));
+    assert_non_null(strstr(hg_ctx_message(ctx), place));
+    assert_int_equal(hg_backward(ctx, bad), HG_INVALID);
+    hg_ctx_clear(ctx);
+    assert_null(hg_add(ctx, NULL, a)); /* without an error before, NULL is one */
+    assert_non_null(strstr(hg_ctx_message(ctx), "input 0 is NULL"));
+    hg_ctx_clear(ctx);
+    assert_null(hg_add(ctx, a, hg_tensor_make(ctx, HG_F64, 0, NULL)));
+    assert_non_null(strstr(hg_ctx_message(ctx), "all f32 or all f64"));
+    hg_ctx_clear(ctx);
+    hg_tensor *index = hg_tensor_make(ctx, HG_I32, 1, (int64_t[]){ 2 });
+    assert_int_equal(hg_tensor_write(index, (int32_t[]){ 1, 3 }), HG_OK);
+    assert_null(hg_gather(ctx, a, index));
+    assert_non_null(strstr(hg_ctx_message(ctx), "index 1 is 3, there are 3 rows"));
+    hg_ctx_clear(ctx);
+    assert_int_equal(hg_require_grad(index), HG_INVALID);
+    hg_ctx_clear(ctx);
+    hg_ctx *other = make_ctx();
+    assert_null(hg_add(ctx, a, hg_tensor_make(other, HG_F32, 0, NULL)));
+    assert_non_null(strstr(hg_ctx_message(ctx), "another context"));
+    hg_ctx_destroy(other);
+    hg_ctx_destroy(ctx);
+}
+
+/* Every refusal of a shape rule says which op it was. */
+static void test_refusals_name_their_op(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *m = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 3, 4 }),
+              *v = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 3 });
+    hg_tensor *scalar = hg_tensor_make(ctx, HG_F32, 0, NULL), *index = hg_tensor_make(ctx, HG_I32, 1, (int64_t[]){ 4 });
+#define REFUSED(name_, call_)                                                                                          \
+    do {                                                                                                               \
+        assert_null(call_);                                                                                            \
+        assert_int_equal(hg_ctx_status(ctx), HG_INVALID);                                                              \
+        if (strncmp(hg_ctx_message(ctx), name_ ": ", strlen(name_) + 2) != 0) fail_msg("%s", hg_ctx_message(ctx));     \
+        hg_ctx_clear(ctx);                                                                                             \
+    } while (0)
+    REFUSED("add", hg_add(ctx, m, v));
+    REFUSED("linear", hg_linear(ctx, m, m, NULL, HG_TANH));
+    REFUSED("linear", hg_linear(ctx, v, m, v, HG_TANH));
+    REFUSED("linear", hg_linear(ctx, v, m, NULL, (hg_activation)99));
+    REFUSED("linear_pair", hg_linear_pair(ctx, m, v, HG_TANH));
+    REFUSED("activate", hg_activate(ctx, m, (hg_activation)-1));
+    REFUSED("square", hg_square(ctx, index));
+    REFUSED("sum_axis", hg_sum_axis(ctx, m, 2, false));
+    REFUSED("mean_axis", hg_mean_axis(ctx, m, -3, false));
+    REFUSED("reshape", hg_reshape(ctx, m, 2, (int64_t[]){ 5, -1 }));
+    REFUSED("reshape", hg_reshape(ctx, m, 2, (int64_t[]){ -1, -1 }));
+    REFUSED("reshape", hg_reshape(ctx, m, 1, (int64_t[]){ 11 }));
+    REFUSED("permute", hg_permute(ctx, m, (int[]){ 0, 0 }));
+    REFUSED("concat", hg_concat(ctx, 0, 2, (hg_tensor *[]){ m, v }));
+    REFUSED("concat", hg_concat(ctx, 5, 1, (hg_tensor *[]){ m }));
+    REFUSED("concat", hg_concat(ctx, 0, 9, (hg_tensor *[]){ m, m, m, m, m, m, m, m, m }));
+    REFUSED("slice", hg_slice(ctx, m, 1, 3, 2));
+    REFUSED("pad", hg_pad(ctx, m, 1, -1, 0));
+    REFUSED("gather", hg_gather(ctx, m, v));
+    REFUSED("scatter_add", hg_scatter_add(ctx, m, index, 3));
+    REFUSED("softmax", hg_softmax(ctx, scalar));
+    REFUSED("layer_norm", hg_layer_norm(ctx, m, v, NULL, 1e-5));
+    REFUSED("layer_norm", hg_layer_norm(ctx, m, NULL, NULL, 0));
+    REFUSED("group_norm", hg_group_norm(ctx, m, NULL, NULL, 3, 1e-5));
+    REFUSED("group_norm", hg_group_norm(ctx, m, NULL, NULL, 0, 1e-5));
+    REFUSED("dot", hg_dot(ctx, m, v));
+    REFUSED("cross", hg_cross(ctx, m, m));
+    REFUSED("quat_rotate", hg_quat_rotate(ctx, m, m));
+    REFUSED("norm", hg_norm(ctx, scalar));
+    REFUSED("place", hg_place(ctx, m, m, m, m));
+    hg_ctx_destroy(ctx);
+}
+
+static hg_tensor *same_shape(hg_call *call)
+{
+    return hg_tensor_make(call->ctx, call->in[0]->dtype, call->in[0]->rank, call->in[0]->shape);
+}
+static hg_status copy_forward(hg_call *call) { return hg_tensor_copy(call->out, call->in[0]); }
+static hg_status failing_backward(hg_call *call) { return (void)call, hg_fail(HG_NUMERIC, "no way back"); }
+static hg_status add_backward(hg_call *call)
+{
+    const float *g = hg_grad(call->out)->data;
+    float *d = hg_grad(call->in[0])->data;
+    for (int64_t i = 0; i < hg_tensor_count(call->out); i++) d[i] += 3 * g[i];
+    return HG_OK;
+}
+
+static void test_ops_of_ones_own(void **state)
+{
+    (void)state;
+    const hg_op mute = { .name = "mute", .min_in = 1, .max_in = 1, .shape = same_shape, .forward = copy_forward };
+    hg_op cut = mute, failing = mute, tripled = mute;
+    cut.name = "cut", cut.not_differentiable = true;
+    failing.name = "failing", failing.backward = failing_backward;
+    tripled.name = "tripled", tripled.backward = add_backward;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 });
+    /* No backward: refused when it is recorded, fine without a gradient. */
+    assert_null(hg_apply(ctx, &mute, 1, &a, NULL));
+    assert_non_null(strstr(hg_ctx_message(ctx), "mute: it has no backward"));
+    hg_ctx_clear(ctx);
+    hg_tensor *detached = hg_detach(ctx, a);
+    assert_non_null(hg_apply(ctx, &mute, 1, &detached, NULL));
+    assert_false(hg_needs_grad(hg_apply(ctx, &cut, 1, &a, NULL)));
+    assert_int_equal(hg_backward(ctx, hg_sum(ctx, hg_apply(ctx, &failing, 1, &a, NULL))), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "backward of failing"));
+    assert_non_null(strstr(hg_ctx_message(ctx), "no way back"));
+    hg_ctx_clear(ctx);
+    /* Adding into zeroed gradients is all that a backward has to know. */
+    hg_tensor *y = hg_add(ctx, hg_apply(ctx, &tripled, 1, &a, NULL), hg_apply(ctx, &tripled, 1, &a, NULL));
+    for (int i = 0; i < 2; i++) {
+        assert_int_equal(hg_backward(ctx, hg_sum(ctx, y)), HG_OK);
+        gradient_is(a, 2, (double[]){ 6, 6 });
+    }
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- export, drawing, steady state ---- */
+
+static void test_record_all_and_dot(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *a = leaf(ctx, "a", 2, (float[]){ 2, 3 }), *constant = hg_tensor_make(ctx, HG_F32, 0, NULL);
+    assert_int_equal(hg_tensor_fill(constant, 2), HG_OK);
+    hg_scale(ctx, constant, 2, 0);
+    assert_int_equal(hg_tape_count(ctx), 0);
+    hg_tape_record_all(ctx, true);
+    hg_tensor *two = hg_scale(ctx, constant, 1, 0);
+    hg_tensor *loss = hg_sum(ctx, hg_mul(ctx, a, two));
+    assert_int_equal(hg_tape_count(ctx), 3);
+    assert_string_equal(hg_tape_call(ctx, 0)->op->name, "scale");
+    assert_ptr_equal(hg_tape_call(ctx, 2)->out, loss);
+    assert_null(hg_tape_call(ctx, 3));
+    assert_int_equal(hg_backward(ctx, loss), HG_OK);
+    gradient_is(a, 2, (double[]){ 2, 2 });
+    hg_text dot = { 0 };
+    assert_int_equal(hg_graph_dot(ctx, &dot), HG_OK);
+    const char *parts[] = { "digraph", "mul", "f32 [2]", "gradient", "a\\n", "->", "}" };
+    for (size_t i = 0; i < sizeof parts / sizeof *parts; i++)
+        if (!strstr(dot.data, parts[i])) fail_msg("\"%s\" is not in %s", parts[i], dot.data);
+    hg_text_free(&dot);
+    hg_step_reset(ctx);
+    assert_int_equal(hg_tape_count(ctx), 0);
+    hg_tensor_destroy(a);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_steady_state(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *w = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ 30, 40 }),
+              *b = hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ 40 });
+    assert_int_equal(hg_require_grad(w), HG_OK);
+    assert_int_equal(hg_require_grad(b), HG_OK);
+    size_t reserved = 0;
+    for (int step = 0; step < 8; step++) {
+        hg_step_reset(ctx);
+        hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 2000, 30 });
+        assert_int_equal(hg_tensor_fill(x, 0.1 * step), HG_OK);
+        hg_tensor *h = hg_linear(ctx, x, w, b, HG_SILU);
+        hg_tensor *y = hg_linear(ctx, h, w, NULL, HG_GELU);
+        assert_null(y); /* 40 inputs into 30: a step that fails must not leak or poison the next */
+        hg_ctx_clear(ctx);
+        assert_int_equal(hg_backward(ctx, hg_sum(ctx, hg_square(ctx, h))), HG_OK);
+        if (step == 1) reserved = hg_step_reserved(ctx);
+        if (step > 1) assert_int_equal(hg_step_reserved(ctx), reserved);
+    }
+    hg_tensor_destroy(w);
+    hg_tensor_destroy(b);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_activation_names(void **state)
+{
+    (void)state;
+    hg_activation activation;
+    assert_int_equal(hg_activation_parse("silu", &activation), HG_OK);
+    assert_int_equal(activation, HG_SILU);
+    assert_int_equal(hg_activation_parse("tahn", &activation), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "tanh"));
+    assert_non_null(strstr(hg_activation_names(), "gelu|softplus"));
+}
+
+/* The vectorised functions over their whole range, ends included. */
+static void test_f32_functions(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    enum { N = 40001 };
+    hg_tensor *x = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ N }),
+              *wide = hg_tensor_make(ctx, HG_F64, 1, (int64_t[]){ N });
+    for (int i = 0; i < N; i++) ((float *)x->data)[i] = (float)(i - N / 2) * 0.006f; /* -120 .. 120 */
+    assert_int_equal(hg_tensor_copy(wide, x), HG_OK);
+    const hg_activation activations[] = { HG_TANH, HG_SIGMOID, HG_SILU, HG_GELU, HG_SOFTPLUS, HG_ELU };
+    for (int a = -1; a < 6; a++) {
+        hg_tensor *y = a < 0 ? hg_exp(ctx, x) : hg_activate(ctx, x, activations[a]);
+        hg_tensor *z = a < 0 ? hg_exp(ctx, wide) : hg_activate(ctx, wide, activations[a]);
+        for (int i = 0; i < N; i++) {
+            double found = hg_tensor_item(y, i), expected = hg_tensor_item(z, i);
+            if (expected > 3.4028235677e38)
+                assert_true(isinf(found));
+            else if (!(fabs(found - expected) <=
+                       6e-7 * fabs(expected) + (activations[a < 0 ? 0 : a] == HG_ELU ? 1e-7 : 1e-36)))
+                fail_msg("function %d at %g: %.9g, expected %.9g", a, hg_tensor_item(x, i), found, expected);
+        }
+    }
+    const float odd[] = { NAN, INFINITY, -INFINITY, 0.0f };
+    const double limits[][4] = { { (double)NAN, (double)INFINITY, 0, 1 }, { (double)NAN, 1, -1, 0 } };
+    hg_tensor *o = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 4 });
+    assert_int_equal(hg_tensor_write(o, odd), HG_OK);
+    hg_tensor *results[] = { hg_exp(ctx, o), hg_activate(ctx, o, HG_TANH) };
+    for (int f = 0; f < 2; f++)
+        for (int i = 0; i < 4; i++) {
+            double found = hg_tensor_item(results[f], i);
+            assert_true(isnan(limits[f][i]) ? isnan(found) : found == limits[f][i]);
+        }
+    hg_ctx_destroy(ctx);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(test_manual_example),
+        cmocka_unit_test(test_backward_accumulates_within_and_zeroes_between),
+        cmocka_unit_test(test_detach_and_no_grad),
+        cmocka_unit_test(test_gradients_of_the_middle),
+        cmocka_unit_test(test_seeded),
+        cmocka_unit_test(test_overwritten),
+        cmocka_unit_test(test_errors_run_through_a_formula),
+        cmocka_unit_test(test_refusals_name_their_op),
+        cmocka_unit_test(test_ops_of_ones_own),
+        cmocka_unit_test(test_record_all_and_dot),
+        cmocka_unit_test(test_steady_state),
+        cmocka_unit_test(test_activation_names),
+        cmocka_unit_test(test_f32_functions),
+    };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
