@@ -60,6 +60,9 @@ typedef struct {
 
 const hg_energy *hg_energy_find(const char *name);               /* NULL and hg_message() with the nearest name */
 
+/* The gradient of one energy against finite differences, on a small scene of its own. options as in hg_term. Resets the step. */
+hg_status hg_energy_gradcheck(hg_ctx *ctx, const hg_energy *energy, const char *const *options, const hg_gradcheck_options *how, hg_gradcheck_result *result);
+
 /* ---- physics ------------------------------------------------------------------------------------------------ */
 
 /* Per-hair parameters, in the order of energy->params; NULL: defaults. option_choices likewise. `weight` multiplies. */
