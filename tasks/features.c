@@ -255,8 +255,9 @@ static void clip_moments(const hg_hair_task *task, bool pose, int channel, doubl
 static hg_status add_feature(hg_hair_task *task, char *name, double mean, double deviation)
 {
     if (!name) return HG_MEMORY;
-    const int i = task->n_features++;
-    task->features[i] = (hg_feature){ .name = name, .first = i, .count = 1, .mean = mean, .deviation = deviation };
+    const int row = task->n_features++, i = row - (task->rest_columns > 0);
+    task->features[row] =
+        (hg_feature){ .name = name, .first = i + task->rest_columns, .count = 1, .mean = mean, .deviation = deviation };
     task->mean[i] = mean;
     task->deviation[i] = deviation;
     return HG_OK;
@@ -280,6 +281,20 @@ static hg_status strand_feature_rows(hg_hair_task *task)
             HG_TRY(add_feature(task, hg_format("%s[%d]", part ? "z_lock" : "z_rest", k), mean, deviation));
         }
     }
+    return HG_OK;
+}
+
+/* Not an input of the network, but of what its output is applied to: the last columns of a strand. */
+static hg_status rest_row(hg_hair_task *task)
+{
+    task->rest_columns = 0;
+    if (strcmp(hg_config_text(task->config, "model.output"), "directions")) return HG_OK;
+    char *name = hg_strdup("rest");
+    if (!name) return HG_MEMORY;
+    task->rest_columns = (int)(task->groom->vertices - 1) * 3;
+    task->features[task->n_features++] = (hg_feature){
+        .name = name, .first = task->strand_inputs, .count = task->rest_columns, .mean = 0, .deviation = 1
+    };
     return HG_OK;
 }
 
@@ -314,9 +329,10 @@ hg_status hg_hair_features_create(hg_hair_task *task)
     task->inputs = task->strand_inputs + task->layout.frame_inputs;
     task->mean = hg_alloc((size_t)task->inputs, sizeof(double));
     task->deviation = hg_alloc((size_t)task->inputs, sizeof(double));
-    task->features = hg_alloc((size_t)task->inputs, sizeof *task->features);
+    task->features = hg_alloc((size_t)task->inputs + 1, sizeof *task->features);
     if (!task->mean || !task->deviation || !task->features) return HG_MEMORY;
     HG_TRY(strand_feature_rows(task));
+    HG_TRY(rest_row(task));
     HG_TRY(frame_feature_rows(task));
     return hg_hair_features_tensors(task);
 }
@@ -334,8 +350,9 @@ hg_status hg_hair_features_tensors(hg_hair_task *task)
     for (int64_t i = 0; i < n; i++) {
         mean[i] = (float)task->mean[i];
         inverse[i] = (float)(1 / task->deviation[i]);
-        task->features[i].mean = task->mean[i];
-        task->features[i].deviation = task->deviation[i];
+        hg_feature *feature = &task->features[i + (task->rest_columns > 0 && i >= task->strand_inputs)];
+        feature->mean = task->mean[i];
+        feature->deviation = task->deviation[i];
     }
     return HG_OK;
 }
@@ -346,7 +363,7 @@ int hg_hair_features(const hg_hair_task *task, const hg_feature **features)
     return task->n_features;
 }
 
-int hg_hair_strand_inputs(const hg_hair_task *task) { return task->strand_inputs; }
+int hg_hair_strand_inputs(const hg_hair_task *task) { return task->strand_inputs + task->rest_columns; }
 
 void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out)
 {

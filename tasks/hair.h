@@ -68,6 +68,7 @@ typedef struct {
     hg_tensor *rest;     /* [n,V,3] f32 */
     hg_tensor *features; /* [n,strand_inputs] f32, normalised */
     double *lengths;     /* [n,V-1] rest edges */
+    double *mass;        /* [n] of a strand [kg] */
     hg_physics *physics;
 } hg_hair_subset;
 
@@ -108,6 +109,8 @@ struct hg_hair_task {
 
     hg_hair_layout layout;
     int strand_inputs, inputs, outputs, pinned, latent;
+    int rest_columns; /* of the concatenated input, behind the strand's: only for directions */
+    bool directions;  /* outputs turn edges */
     double output_scale;
     double *mean, *deviation; /* [inputs] */
     hg_feature *features;     /* [inputs] */

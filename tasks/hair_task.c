@@ -7,38 +7,41 @@
 
 /* ---- network ------------------------------------------------------------------------------------------------ */
 
-/* Outputs to displacements of vertices 1.., a constant matrix [outputs,(V-1)*3]. With two vertices pinned the first edge
- * gets none. `vertices`: an output is a displacement; `edges`: of an edge, so a vertex moves by the sum of the edges
- * before it, which makes bends of the whole strand as easy to learn as those of one edge. */
-static hg_status make_output_map(hg_hair_task *task)
+/* What an output is.
+ *   vertices     displacements, as published
+ *   edges        displacements of edges, so that a vertex moves by the sum of the edges before it
+ *   directions   changes of the unit directions of edges, which keep their lengths (hg_turn_edges)
+ * The first two are one constant matrix [outputs,(V-1)*3] after the network. With two vertices pinned the first edge stays
+ * as it is. */
+static hg_status make_output(hg_hair_task *task)
 {
+    const hg_config *config = task->config;
     const int64_t V = task->groom->vertices, columns = (V - 1) * 3;
-    const bool edges = !strcmp(hg_config_text(task->config, "model.output"), "edges");
-    task->pinned = (int)hg_config_integer(task->config, "model.pinned");
+    const char *output = hg_config_text(config, "model.output");
+    task->pinned = (int)hg_config_integer(config, "model.pinned");
     if (task->pinned >= V)
         return hg_fail(HG_INVALID, "%s:%d: model.pinned: %d of %lld vertices are pinned: nothing is left to move",
-                       hg_config_name(task->config), hg_config_line(task->config, "model.pinned"), task->pinned,
-                       (long long)V);
-    task->output_scale = hg_config_number(task->config, "model.output_scale");
+                       hg_config_name(config), hg_config_line(config, "model.pinned"), task->pinned, (long long)V);
     task->outputs = (int)(V - task->pinned) * 3;
+    task->directions = !strcmp(output, "directions");
+    task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
+    if (task->directions) return HG_OK;
     task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
     if (!task->output_map) return HG_MEMORY;
     task->output_map->name = "output_map";
     float *map = task->output_map->data;
-    for (int64_t i = 0; i < task->outputs; i++) {
-        const int64_t first = i + (task->pinned - 1) * 3;
-        for (int64_t column = first; column < columns; column += 3) {
+    for (int64_t i = 0; i < task->outputs; i++)
+        for (int64_t column = i + (task->pinned - 1) * 3; column < columns; column += 3) {
             map[i * columns + column] = (float)task->output_scale;
-            if (!edges) break;
+            if (!strcmp(output, "vertices")) break;
         }
-    }
     hg_tensor_touch(task->output_map);
     return HG_OK;
 }
 
 static hg_status make_model(hg_hair_task *task)
 {
-    HG_TRY(make_output_map(task));
+    HG_TRY(make_output(task));
     hg_model_spec spec = { .inputs = task->inputs,
                            .strand_inputs = task->strand_inputs,
                            .outputs = task->outputs,
@@ -54,28 +57,65 @@ static hg_status make_model(hg_hair_task *task)
     return HG_OK;
 }
 
-static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs)
+/* [..,S,outputs] and rest [S,V,3] -> [..,S,V-1,3] */
+static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
 {
-    return hg_matmul(ctx, outputs, task->output_map);
+    if (!outputs) return NULL;
+    const int64_t V = task->groom->vertices;
+    const bool framed = outputs->rank == 3;
+    const int64_t edges = task->directions ? V - task->pinned : V - 1;
+    hg_tensor *d =
+        task->directions ? hg_scale(ctx, outputs, task->output_scale, 0) : hg_matmul(ctx, outputs, task->output_map);
+    d = framed ? hg_reshape(ctx, d, 4, (int64_t[]){ outputs->shape[0], outputs->shape[1], edges, 3 })
+               : hg_reshape(ctx, d, 3, (int64_t[]){ -1, edges, 3 });
+    return task->directions ? hg_turn_edges(ctx, d, rest) : d;
 }
 
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,
                            hg_tensor *rotation, hg_tensor *position)
 {
     hg_tensor *in[3] = { NULL, inputs, part };
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3));
-    if (!d) return NULL;
-    d = hg_reshape(ctx, d, 4, (int64_t[]){ rotation->shape[0], rotation->shape[1], task->groom->vertices - 1, 3 });
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
     return hg_place(ctx, d, rest, rotation, position);
 }
 
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
 {
-    hg_tensor *in = hg_mul(ctx, hg_sub(ctx, raw, task->mean_tensor), task->inverse_deviation);
-    return displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1));
+    const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
+    hg_tensor *in = raw, *rest = NULL;
+    if (task->directions) { /* [strand | rest | frame] */
+        in = hg_concat(ctx, 1, 2,
+                       (hg_tensor *[]){ hg_slice(ctx, raw, 1, 0, strand),
+                                        hg_slice(ctx, raw, 1, strand + task->rest_columns, frame) });
+        rest = hg_reshape(ctx, hg_slice(ctx, raw, 1, strand, task->rest_columns), 3, (int64_t[]){ -1, edges, 3 });
+        rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
+    }
+    in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
+    return hg_reshape(ctx, d, 2, (int64_t[]){ -1, edges * 3 });
 }
 
 /* ---- loss --------------------------------------------------------------------------------------------------- */
+
+/* Gravity of every strand if it were a point at its root: counted from there, the loss says how the hair hangs and not how
+ * high the person stands. A constant for the network. */
+static double root_gravity(const hg_hair_task *task, const hg_hair_batch *batch, const hg_hair_subset *subset,
+                           int *term)
+{
+    for (int i = 0; i < task->terms.n; i++) {
+        const hg_term *gravity = &task->terms.term[i];
+        if (strcmp(gravity->energy->name, "gravity")) continue;
+        *term = i;
+        double energy = 0;
+        const float *position = batch->position + 2 * batch->frames * batch->strands * 3;
+        for (int64_t k = 0; k < batch->frames * batch->strands; k++)
+            for (int c = 0; c < 3; c++)
+                energy -= subset->mass[k % batch->strands] * gravity->params[c] * (double)position[3 * k + c];
+        return energy;
+    }
+    *term = -1;
+    return 0;
+}
 
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
                           hg_hair_subset *subset, double *unweighted)
@@ -108,7 +148,11 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
                              .body_vertices = body,
                              .dt = 1 / task->rate };
     hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, unweighted);
-    return hg_scale(ctx, energy, 1 / ((double)(B * S) * task->reference), 0);
+    int gravity;
+    const double scale = 1 / ((double)(B * S) * task->reference), at_root = root_gravity(task, batch, subset, &gravity);
+    if (gravity < 0) return hg_scale(ctx, energy, scale, 0);
+    unweighted[gravity] -= at_root;
+    return hg_scale(ctx, energy, scale, -scale * task->terms.term[gravity].weight * at_root);
 }
 
 static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)

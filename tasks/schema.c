@@ -34,9 +34,13 @@ static const hg_config_row rows[] = {
     { "model.depth", HG_INTEGER, "2", NULL, NULL, 1, 16, "hidden layers" },
     { "model.activation", HG_CHOICE, "silu", NULL, "identity|relu|leaky_relu|elu|tanh|sigmoid|silu|gelu|softplus", 0, 0,
       "of the hidden layers" },
-    { "model.output", HG_CHOICE, "vertices", NULL, "vertices|edges", 0, 0,
-      "what the network predicts: displacements of vertices (published) or of edges, summed from the root" },
+    { "model.output", HG_CHOICE, "vertices", NULL, "vertices|edges|directions", 0, 0,
+      "what the network predicts: displacements of vertices (published), of edges, summed from the root, or turns of "
+      "edges "
+      "that keep their lengths" },
     { "model.output_scale", HG_NUMBER, "10 mm", "m", NULL, 1e-6, 10, "displacement for an output of 1" },
+    { "model.turn_scale", HG_NUMBER, "0.1", "1", NULL, 1e-6, 10,
+      "directions: added to the unit direction for an output of 1" },
     { "model.pinned", HG_INTEGER, "1", NULL, NULL, 1, 2,
       "vertices of a strand that move with the head: 1 the root, 2 its edge too" },
 

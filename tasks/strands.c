@@ -214,8 +214,10 @@ hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t
         if (s < 0 || s >= task->groom->strands)
             return hg_fail(HG_INVALID, "strand %lld is not one of the %lld of the groom", (long long)s,
                            (long long)task->groom->strands);
-        memcpy(out + i * task->strand_inputs, task->strand_raw + s * task->strand_inputs,
-               (size_t)task->strand_inputs * sizeof *out);
+        float *row = out + i * (task->strand_inputs + task->rest_columns);
+        const float *root = task->groom->points + s * task->groom->vertices * 3;
+        memcpy(row, task->strand_raw + s * task->strand_inputs, (size_t)task->strand_inputs * sizeof *row);
+        for (int k = 0; k < task->rest_columns; k++) row[task->strand_inputs + k] = root[3 + k] - root[k % 3];
     }
     return HG_OK;
 }

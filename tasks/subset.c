@@ -144,6 +144,7 @@ static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
         const int64_t s = subset->strand[i];
         measure(task->groom, s, subset->lengths + i * (V - 1), mass + i * V);
+        for (int64_t v = 0; v < V; v++) subset->mass[i] += mass[i * V + v];
         for (int64_t k = 0; k < 3 * V; k++) rest[i * 3 * V + k] = (double)task->groom->points[s * 3 * V + k];
         for (int64_t v = 0; v < V; v++) {
             body[i * V + v] = (double)task->body_distance[s * V + v];
@@ -185,7 +186,8 @@ hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_h
         subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, V, 3 });
         subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ n, task->strand_inputs });
         subset->lengths = hg_alloc((size_t)(n * (V - 1)), sizeof(double));
-        if (!subset->rest || !subset->features || !subset->lengths) status = HG_MEMORY;
+        subset->mass = hg_alloc((size_t)n, sizeof(double));
+        if (!subset->rest || !subset->features || !subset->lengths || !subset->mass) status = HG_MEMORY;
     }
     if (status == HG_OK) status = hg_hair_subset_features(subset, task);
     if (status == HG_OK) status = make_physics(subset, task);
@@ -217,6 +219,7 @@ void hg_hair_subset_destroy(hg_hair_subset *subset)
     hg_tensor_destroy(subset->rest);
     hg_tensor_destroy(subset->features);
     hg_free(subset->lengths);
+    hg_free(subset->mass);
     hg_free(subset->strand);
     *subset = (hg_hair_subset){ 0 };
 }

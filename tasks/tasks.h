@@ -45,7 +45,8 @@ const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i);
 typedef struct { const char *name; int first, count; double mean, deviation; } hg_feature; /* of the concatenated input, in order */
 int hg_hair_features(const hg_hair_task *task, const hg_feature **features);      /* count; strand features first */
 int hg_hair_strand_inputs(const hg_hair_task *task);                              /* how many input columns are a strand's, the first ones */
-/* Raw features (not normalised) of a strand subset and of one frame. */
+/* Raw features (not normalised) of a strand subset and of one frame. With `model.output: directions` the last of a
+ * strand's is "rest": its vertices 1.. relative to the root, [(V-1)*3]: what the turned edges start from. */
 hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
 hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t frame, const double *shape, float *out /* [frame_inputs] */);
 /* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. */
