@@ -47,6 +47,10 @@ static hg_status render_run(hg_ctx *ctx, const hg_arguments *arguments, const ch
     HG_TRY(parse_size(cli_value(arguments, "size", NULL), &options.width, &options.height));
     const char *hair_width = cli_value(arguments, "hair-width", NULL);
     if (hair_width) HG_TRY(hg_unit_parse(hair_width, "m", &options.hair_width));
+    int64_t hairs = 0;
+    if (cli_value(arguments, "hairs", NULL) && (!cli_integer(arguments, "hairs", &hairs) || hairs < 1 || hairs > 100))
+        return hg_fail(HG_INVALID, "render: --hairs takes a number from 1 to 100");
+    options.hairs = (int)hairs;
     hg_progress progress = cli_progress();
     hg_image *image = NULL;
     hg_status status = cli_flag(arguments, "tips")
@@ -82,6 +86,7 @@ static const hg_argument render_options[] = {
     { "compare", NULL, "rest, rigidly posed and trained hair side by side", false },
     { "tips", NULL, "instead: paths of a few tips in the head's frame", false },
     { "hair-width", "LENGTH", "how thick a strand is drawn, like \"0.3 mm\" (default: by their number)", false },
+    { "hairs", "N", "hairs drawn for a strand, around it (default: by their number; 1: the strands alone)", false },
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(render, .what = "draw a drape, a posed scene or a groom as a picture",

@@ -73,7 +73,8 @@ typedef struct {
     hg_camera camera;
     int64_t body_vertices, body_faces; const float *body; const int32_t *triangles;
     int64_t strands, vertices; const float *x; const float *colour /* [S,3] linear, NULL: brown with variation by strand */;
-    double hair_width;                   /* m */
+    double hair_width;                   /* m; 0: 0.3 mm */
+    int hairs; double lock_radius;       /* hairs drawn for a strand, itself and others around it within this radius [m]; 0: itself */
     const char *caption;
 } hg_view;
 /* Anti-aliased, with depth: shaded body, strands with Kajiya-Kay shading and depth-based occlusion. */
@@ -95,6 +96,7 @@ typedef struct {
     int width, height;                   /* of one picture; 0: 480 x 560 */
     bool compare;
     double hair_width;                   /* m; 0: by the number of strands */
+    int hairs;                           /* drawn for a strand; 0: by the number of strands, so that few cover a head; 1: the strands alone */
 } hg_sheet_options;
 hg_status hg_sheet_draw(hg_ctx *ctx, hg_image **sheet, const char *path, const hg_sheet_options *options, const hg_progress *progress);
 /* Do tips lag and swing? Paths of a few tips in the head's frame, from above, beside the same over time under the head's

@@ -187,7 +187,8 @@ hg_status hg_render(hg_ctx *ctx, hg_image *image, int x, int y, int width, int h
     const raster_view *view = &stage.view;
     float hair_width = scene->hair_width > 0.0 ? (float)scene->hair_width : 3e-4f;
     float wide = (float)scene->camera.height * fmaxf(1.0f, (float)width / (float)height);
-    hg_status status = raster_volume_build(&stage.volume, scene, hair_width);
+    float per_strand = scene->hairs > 1 ? (float)scene->hairs : 1.0f;
+    hg_status status = raster_volume_build(&stage.volume, scene, hair_width * per_strand);
     if (status == HG_OK) status = raster_shadow_build(&stage.shadow, view, scene, 1.4f * wide);
     if (status == HG_OK) status = raster_body_build(&stage.body, view, scene, &stage.volume);
     if (status == HG_OK)

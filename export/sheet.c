@@ -96,8 +96,8 @@ typedef struct {
     hg_source *source;
     hg_image *sheet;
     extent room;
-    double angle, hair_width;
-    int width, height;
+    double angle, hair_width, lock_radius;
+    int hairs, width, height;
 } studio;
 
 static hg_status draw_one(const studio *u, int column, int row, int64_t frame, source_version version, const char *name)
@@ -121,16 +121,21 @@ static hg_status draw_one(const studio *u, int column, int row, int64_t frame, s
         .vertices = s->vertices,
         .x = s->x,
         .hair_width = u->hair_width,
+        .hairs = u->hairs,
+        .lock_radius = u->lock_radius,
         .caption = caption,
     };
     return hg_render(u->ctx, u->sheet, x, y, u->width, u->height, &view);
 }
 
-/* Few strands are drawn thicker, so that the head is covered. */
-static double width_for(int64_t strands)
+/* A head needs about this many hairs at this width to be covered; few strands stand for locks of some. */
+static void fill(studio *u, const hg_sheet_options *options)
 {
-    double width = 2.6e-4 * sqrt(11400.0 / (double)strands);
-    return fmin(fmax(width, 1e-4), 9e-4);
+    double strands = (double)u->source->strands;
+    u->hairs = options->hairs > 0 ? options->hairs : (int)fmin(fmax(round(12000.0 / strands), 1.0), 10.0);
+    u->lock_radius = 0.13 / sqrt(strands); /* half of the way to the next root on 0.06 m^2 of scalp, about */
+    u->hair_width = options->hair_width;
+    if (!(u->hair_width > 0.0)) u->hair_width = fmin(fmax(2.6e-4 * sqrt(11400.0 / (strands * u->hairs)), 1e-4), 9e-4);
 }
 
 /* ---- sheet --------------------------------------------------------------------------------------------------- */
@@ -185,7 +190,7 @@ hg_status hg_sheet_draw(hg_ctx *ctx, hg_image **sheet, const char *path, const h
     if (u.height <= 0) u.height = 560;
     HG_TRY(angle_of(options->view, &u.angle));
     HG_TRY(hg_source_open(&u.source, ctx, path, options->body));
-    u.hair_width = options->hair_width > 0.0 ? options->hair_width : width_for(u.source->strands);
+    fill(&u, options);
     int64_t chosen[6];
     const int64_t *frame = options->frames;
     int n = options->n_frames;

@@ -33,19 +33,20 @@ static float noise(int64_t strand, uint32_t what)
     return (float)(h >> 8) * (1.0f / 16777216.0f);
 }
 
-static fibre fibre_of(const hg_view *scene, int64_t strand)
+/* `hair` numbers all hairs: those of a strand's lock share its colour but for a little. */
+static fibre fibre_of(const hg_view *scene, int64_t strand, int64_t hair)
 {
     const vec dark = { 0.055f, 0.022f, 0.010f }, light = { 0.235f, 0.105f, 0.043f };
     fibre f;
-    float a = noise(strand, 1), b = noise(strand, 2);
+    float a = 0.7f * noise(strand, 1) + 0.3f * noise(hair, 5), b = noise(strand, 2);
     if (scene->colour) {
         f.colour = vec_scale(vec_of(scene->colour + 3 * strand), 0.82f + 0.36f * a);
     } else {
         f.colour = vec_mix(dark, light, 0.25f + 0.65f * a * a);
         f.colour.x *= 0.92f + 0.16f * b;
     }
-    f.tilt = 0.10f * (noise(strand, 3) - 0.5f);
-    f.strength = 0.55f + 0.9f * noise(strand, 4);
+    f.tilt = 0.10f * (noise(hair, 3) - 0.5f);
+    f.strength = 0.55f + 0.9f * noise(hair, 4);
     return f;
 }
 
@@ -97,7 +98,42 @@ typedef struct {
     const raster_volume *volume;
     const raster_shadow *shadow;
     float half, alpha; /* of a line, in samples */
+    int64_t hairs;     /* drawn for a strand: itself and others around it */
+    float radius;      /* of the lock that they make [m] */
+    reached *light;    /* [S,V] what reaches the strands' vertices, and so the hairs around them */
 } painter;
+
+/* A strand's first hair is the strand; the others wind slowly around it, closer at the tip. */
+typedef struct {
+    const float *x;
+    bool beside;
+    vec side, front;
+    float turn, step;
+} lock_hair;
+
+static lock_hair hair_of(const painter *p, int64_t hair)
+{
+    int64_t strand = hair / p->hairs, n = p->scene->vertices;
+    lock_hair h = { .x = p->scene->x + 3 * strand * n, .beside = hair % p->hairs != 0 };
+    if (!h.beside) return h;
+    vec axis = vec_unit((vec){ noise(hair, 6) - 0.5f, 0.7f * (noise(hair, 7) - 0.5f), noise(hair, 8) - 0.5f });
+    vec side = vec_unit(vec_cross(axis, (vec){ 0.31f, 0.91f, 0.27f }));
+    float away = p->radius * sqrtf(noise(hair, 9));
+    h.side = vec_scale(side, away);
+    h.front = vec_scale(vec_cross(axis, side), away);
+    h.turn = 6.2832f * noise(hair, 10);
+    h.step = n > 1 ? 4.0f * (noise(hair, 11) - 0.5f) / (float)(n - 1) : 0.0f;
+    return h;
+}
+
+static vec hair_point(const painter *p, const lock_hair *h, int64_t vertex)
+{
+    vec point = vec_of(h->x + 3 * vertex);
+    if (!h->beside) return point;
+    float closer = 1.0f - 0.55f * (float)vertex / (float)(p->scene->vertices - 1);
+    float angle = h->turn + h->step * (float)vertex;
+    return vec_along(vec_along(point, h->side, closer * cosf(angle)), h->front, closer * sinf(angle));
+}
 
 static reached reached_at(const painter *p, vec point)
 {
@@ -135,48 +171,44 @@ static vec curve(vec a, vec b, vec c, vec d, float t)
     return vec_along(sum, d, 0.5f * t3 - 0.5f * t2);
 }
 
-static int64_t count_strand(const painter *p, int64_t strand)
+static int64_t count_hair(const painter *p, int64_t hair)
 {
     int64_t n = p->scene->vertices, count = 0;
-    const float *x = p->scene->x + 3 * strand * n;
-    vec last = raster_project(p->view, vec_of(x));
+    lock_hair h = hair_of(p, hair);
+    vec last = raster_project(p->view, hair_point(p, &h, 0));
     for (int64_t v = 1; v < n; v++) {
-        vec next = raster_project(p->view, vec_of(x + 3 * v));
+        vec next = raster_project(p->view, hair_point(p, &h, v));
         count += pieces_of(p->view, last, next);
         last = next;
     }
     return count;
 }
 
-static void paint_strand(const painter *p, int64_t strand, raster_segment *out)
+static void paint_hair(const painter *p, int64_t hair, raster_segment *out)
 {
     const raster_view *view = p->view;
     int64_t n = p->scene->vertices;
-    const float *x = p->scene->x + 3 * strand * n;
-    fibre f = fibre_of(p->scene, strand);
-    reached light[2] = { 0 };
-    int64_t known = -1; /* the vertex whose light is in light[1] */
+    lock_hair h = hair_of(p, hair);
+    fibre f = fibre_of(p->scene, hair / p->hairs, hair);
+    const reached *light = p->light + hair / p->hairs * n;
     for (int64_t v = 0; v + 1 < n; v++) {
-        vec b = raster_project(view, vec_of(x + 3 * v)), c = raster_project(view, vec_of(x + 3 * (v + 1)));
+        vec b = raster_project(view, hair_point(p, &h, v)), c = raster_project(view, hair_point(p, &h, v + 1));
         int pieces = pieces_of(view, b, c);
         if (!pieces) continue;
-        vec a = v > 0 ? raster_project(view, vec_of(x + 3 * (v - 1))) : vec_sub(vec_scale(b, 2.0f), c);
-        vec d = v + 2 < n ? raster_project(view, vec_of(x + 3 * (v + 2))) : vec_sub(vec_scale(c, 2.0f), b);
+        vec a = v > 0 ? raster_project(view, hair_point(p, &h, v - 1)) : vec_sub(vec_scale(b, 2.0f), c);
+        vec d = v + 2 < n ? raster_project(view, hair_point(p, &h, v + 2)) : vec_sub(vec_scale(c, 2.0f), b);
         if (!vec_finite(a)) a = b;
         if (!vec_finite(d)) d = c;
-        light[0] = known == v ? light[1] : reached_at(p, vec_of(x + 3 * v));
-        light[1] = reached_at(p, vec_of(x + 3 * (v + 1)));
-        known = v + 1;
         vec from = b, colour_from = { 0 };
         for (int k = 0; k <= pieces; k++) {
             float t = (float)k / (float)pieces, along = ((float)v + t) / (float)(n - 1);
             float t_before = clampf(t - 0.25f, 0.0f, 1.0f), t_after = clampf(t + 0.25f, 0.0f, 1.0f);
             vec slope = vec_sub(curve(a, b, c, d, t_after), curve(a, b, c, d, t_before));
             vec tangent = vec_unit((vec){ slope.x, -slope.y, -slope.z * view->scale });
-            reached r = { light[0].key + t * (light[1].key - light[0].key),
-                          light[0].fill + t * (light[1].fill - light[0].fill),
-                          light[0].rim + t * (light[1].rim - light[0].rim),
-                          light[0].open + t * (light[1].open - light[0].open) };
+            reached r = { light[v].key + t * (light[v + 1].key - light[v].key),
+                          light[v].fill + t * (light[v + 1].fill - light[v].fill),
+                          light[v].rim + t * (light[v + 1].rim - light[v].rim),
+                          light[v].open + t * (light[v + 1].open - light[v].open) };
             vec colour = shade(view, &f, tangent, &r, along);
             vec to = k == pieces ? c : curve(a, b, c, d, t);
             if (k > 0) {
@@ -252,28 +284,44 @@ hg_status raster_strands_build(raster_strands *strands, const raster_view *view,
 {
     *strands = (raster_strands){ 0 };
     float thickness = width * view->scale; /* in samples; thinner than a sample: fainter instead */
-    painter p = { view, scene, volume, shadow, 0.5f * fmaxf(thickness, 1.0f), fminf(thickness, 1.0f) };
-    int64_t *start = hg_alloc((size_t)scene->strands + 1, sizeof *start);
+    painter p = { .view = view, .scene = scene, .volume = volume, .shadow = shadow, .hairs = 1 };
+    p.half = 0.5f * fmaxf(thickness, 1.0f);
+    p.alpha = fminf(thickness, 1.0f);
+    if (scene->hairs > 1) p.hairs = scene->hairs, p.radius = (float)scene->lock_radius;
+    int64_t hairs = scene->strands * p.hairs;
+    int64_t *start = hg_alloc((size_t)hairs + 1, sizeof *start);
     if (!start) return HG_MEMORY;
     int threads = view->threads;
     (void)threads;
-    if (scene->vertices > 1) {
-#pragma omp parallel for schedule(static) num_threads(threads)
-        for (int64_t s = 0; s < scene->strands; s++) start[s + 1] = count_strand(&p, s);
+    int64_t vertices = scene->strands * scene->vertices;
+    p.light = hg_alloc((size_t)vertices, sizeof *p.light);
+    if (!p.light) {
+        hg_free(start);
+        return HG_MEMORY;
     }
-    for (int64_t s = 0; s < scene->strands; s++) start[s + 1] += start[s];
-    strands->n = start[scene->strands];
+    if (scene->vertices > 1) {
+#pragma omp parallel for schedule(dynamic, 512) num_threads(threads)
+        for (int64_t i = 0; i < vertices; i++) {
+            vec point = vec_of(scene->x + 3 * i);
+            if (vec_finite(point)) p.light[i] = reached_at(&p, point);
+        }
+#pragma omp parallel for schedule(static) num_threads(threads)
+        for (int64_t i = 0; i < hairs; i++) start[i + 1] = count_hair(&p, i);
+    }
+    for (int64_t i = 0; i < hairs; i++) start[i + 1] += start[i];
+    strands->n = start[hairs];
     hg_status status = HG_OK;
     if (strands->n > INT32_MAX) status = hg_fail(HG_INVALID, "render: more than %d line segments", INT32_MAX);
     if (status == HG_OK) strands->segment = hg_alloc((size_t)strands->n, sizeof *strands->segment);
     if (status == HG_OK && !strands->segment) status = HG_MEMORY;
     if (status == HG_OK) {
 #pragma omp parallel for schedule(dynamic, 64) num_threads(threads)
-        for (int64_t s = 0; s < scene->strands; s++)
-            if (start[s + 1] > start[s]) paint_strand(&p, s, strands->segment + start[s]);
+        for (int64_t i = 0; i < hairs; i++)
+            if (start[i + 1] > start[i]) paint_hair(&p, i, strands->segment + start[i]);
         status = bin_segments(strands, view);
     }
     hg_free(start);
+    hg_free(p.light);
     return status;
 }
 

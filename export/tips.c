@@ -55,7 +55,7 @@ typedef struct {
     int64_t strand[TIPS];
     double *time, *turning;           /* s; degrees per second about the vertical, to the left positive */
     double *side[TIPS], *ahead[TIPS]; /* cm in the head's frame: to the character's right, forwards */
-    double *swing[TIPS];              /* cm that the tip is off its rigidly posed place, sideways */
+    double *swing[TIPS]; /* cm that the tip is off its rigidly posed place, in the sense of a turn to the left */
     double rest_side[TIPS][1], rest_ahead[TIPS][1];
 } paths;
 
@@ -82,6 +82,14 @@ static double heading_of(const hg_source *s)
     return atan2(x, z);
 }
 
+/* Along the circle around the head's vertical axis, in the sense of a turn to the left. */
+static double swing_of(double side, double ahead, double rest_side, double rest_ahead, const double middle[2])
+{
+    double x = rest_side - middle[0], z = rest_ahead - middle[1], radius = hypot(x, z);
+    if (radius < 1.0) return side - rest_side;
+    return (-z * (side - rest_side) + x * (ahead - rest_ahead)) / radius;
+}
+
 static hg_status follow(hg_source *s, paths *p)
 {
     size_t n = (size_t)s->frames;
@@ -97,7 +105,11 @@ static hg_status follow(hg_source *s, paths *p)
     }
     if (!room) return HG_MEMORY;
     choose(s, p->strand);
-    double before = 0.0;
+    double before = 0.0, middle[2] = { 0.0, 0.0 }; /* of the roots, to the right and forwards [cm] */
+    for (int64_t i = 0; i < s->strands; i++) {
+        middle[0] -= 100.0 * (double)s->rest[3 * i * s->vertices] / (double)s->strands;
+        middle[1] += 100.0 * (double)s->rest[3 * i * s->vertices + 2] / (double)s->strands;
+    }
     for (int64_t t = 0; t < s->frames; t++) {
         HG_TRY(hg_source_read(s, t, SOURCE_FILE));
         double heading = heading_of(s);
@@ -116,7 +128,7 @@ static hg_status follow(hg_source *s, paths *p)
             p->ahead[k][t] = 100.0 * (local[2] + (double)rest_root[2]);
             p->rest_side[k][0] = -100.0 * (double)rest_tip[0];
             p->rest_ahead[k][0] = 100.0 * (double)rest_tip[2];
-            p->swing[k][t] = p->side[k][t] - p->rest_side[k][0];
+            p->swing[k][t] = swing_of(p->side[k][t], p->ahead[k][t], p->rest_side[k][0], p->rest_ahead[k][0], middle);
         }
     }
     return HG_OK;
@@ -141,7 +153,7 @@ static hg_status draw(hg_image *image, const paths *p)
     for (int k = 0; k < TIPS; k++)
         if (p->strand[k] >= 0) curves[n++] = (hg_curve){ tip_name[k], p->n, p->time, p->swing[k] };
     return hg_plot(image, left, height / 2, width - left, height - height / 2, "tips off their rigidly posed place",
-                   "time [s]", "to the right [cm]", n, curves, false);
+                   "time [s]", "along the turn [cm]", n, curves, false);
 }
 
 hg_status hg_tips_draw(hg_image **picture, const char *path, int width, int height)
