@@ -238,7 +238,7 @@ void hg_physics_destroy(hg_physics *physics)
 hg_status hg_physics_backend(hg_physics *physics, hg_backend backend)
 {
     for (int i = 0; i < 2; i++)
-        if (physics->strands[i]) HG_TRY(hg_strand_pass_backend(physics->strands[i], physics->ctx, backend));
+        if (physics->strands[i]) HG_TRY(hg_strand_pass_backend(physics->strands[i], physics->ctx, backend, NULL));
     physics->backend = backend;
     return HG_OK;
 }
@@ -334,7 +334,7 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
     if (given && p->n_window && !*strands) {
         HG_TRY(hg_strand_pass_create(strands, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
                                      &p->data, true, true));
-        if (p->backend == HG_BACKEND_INTERPRETER) HG_TRY(hg_strand_pass_backend(*strands, p->ctx, p->backend));
+        if (p->backend == HG_BACKEND_INTERPRETER) HG_TRY(hg_strand_pass_backend(*strands, p->ctx, p->backend, NULL));
     }
     for (int t = 0; t < p->n; t++) sums[t] = 0;
     void *point, *normal;

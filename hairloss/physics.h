@@ -46,7 +46,8 @@ typedef struct hg_strand_pass hg_strand_pass;
 hg_status hg_strand_pass_create(hg_strand_pass **pass, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms,
                                 const int32_t *column, const hg_groom_data *data, bool posed_given, bool hoist);
 void hg_strand_pass_destroy(hg_strand_pass *pass);
-hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend);
+/* level: "avx512", "avx2", "sse4", "plain": that one only; NULL: the best that the processor has. */
+hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level);
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass);
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
 /* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient is SET (NULL: not wanted).

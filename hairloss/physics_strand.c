@@ -135,14 +135,16 @@ static hg_status make_groom(hg_strand_pass *p, hg_ctx *ctx, const hg_function *f
 #define SUPPORTS(level_) 1
 #endif
 
-static const hg_strand_kernel_entry *find_compiled(const hg_strand_program *program)
+/* The best kernel for the program and this processor; only: that level. */
+static const hg_strand_kernel_entry *find_compiled(const hg_strand_program *program, const char *only)
 {
     static const char *const levels[] = { "avx512", "avx2", "sse4", "plain" };
     for (size_t i = 0; i < sizeof levels / sizeof *levels; i++) {
         char name[80];
+        if ((only && strcmp(only, levels[i]) != 0) || !SUPPORTS(levels[i])) continue;
         snprintf(name, sizeof name, "%s %s %016llx", hg_dtype_name(program->dtype), levels[i],
                  (unsigned long long)program->hash);
-        const hg_strand_kernel_entry *entry = SUPPORTS(levels[i]) ? hg_find("strand_kernel", name) : NULL;
+        const hg_strand_kernel_entry *entry = hg_find("strand_kernel", name);
         if (entry && entry->hash == program->hash && entry->bytes == (int)hg_dtype_size(program->dtype)) return entry;
     }
     return NULL;
@@ -174,9 +176,10 @@ static hg_status prepare(hg_strand_pass *p, hg_ctx *ctx, const hg_strand_kernel_
     return make_scratch(p, ctx);
 }
 
-hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend)
+hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level)
 {
-    const hg_strand_kernel_entry *compiled = backend == HG_BACKEND_INTERPRETER ? NULL : find_compiled(pass->program);
+    const hg_strand_kernel_entry *compiled =
+        backend == HG_BACKEND_INTERPRETER ? NULL : find_compiled(pass->program, level);
     if (backend == HG_BACKEND_COMPILED && !compiled) {
         hg_text names = { 0 };
         for (int i = 0; i < pass->n; i++) hg_text_add(&names, "%s%s", i ? " + " : "", pass->terms[i].energy->name);
@@ -232,7 +235,7 @@ hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtyp
         p->uniform_inputs = hg_alloc((size_t)n_in + 1, sizeof(double));
         if (!p->uniform || !p->uniform_values || !p->uniform_inputs) status = HG_MEMORY;
     }
-    if (status == HG_OK) status = hg_strand_pass_backend(p, ctx, HG_BACKEND_AUTO);
+    if (status == HG_OK) status = hg_strand_pass_backend(p, ctx, HG_BACKEND_AUTO, NULL);
     if (status != HG_OK) {
         hg_strand_pass_destroy(p);
         return status;

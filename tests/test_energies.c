@@ -277,6 +277,55 @@ static void test_compiled(void **state)
             }
 }
 
+/* Every level of vector instructions that this processor has, not only the one that is chosen. */
+static void test_levels(void **state)
+{
+    (void)state;
+    static const char *const levels[] = { "avx512", "avx2", "sse4", "plain" };
+    int found = 0;
+    for (int64_t V = 1; V <= 25; V += V < 6 ? 1 : 6)
+        for (int dtype = 0; dtype < 2; dtype++) {
+            const hg_dtype type = dtype ? HG_F64 : HG_F32;
+            hg_ctx *ctx = make_context(1);
+            scene s;
+            scene_make(&s, 2, 2, 21, V, 0.3);
+            const char *names[] = { "bend_twist", "gravity", "inertia", "stretch" };
+            hg_term terms[4];
+            double params[4][HG_ENERGY_PARAMS], energies[4], expected[4];
+            const char *options[4][HG_ENERGY_OPTIONS];
+            const int32_t column[4] = { 0, 1, 2, 3 };
+            for (int t = 0; t < 4; t++) {
+                const hg_term term = { hg_energy_find(names[t]), 1, NULL, NULL };
+                ok(hg_term_complete(&term, params[t], options[t]), names[t]);
+                terms[t] = (hg_term){ term.energy, 1.5, params[t], options[t] };
+            }
+            const hg_frame frame = scene_frame(&s, ctx, type);
+            hg_tensor *x = scene_x(&s, ctx, type), *a = scene_x(&s, ctx, type), *b = scene_x(&s, ctx, type);
+            hg_strand_pass *pass;
+            ok(hg_strand_pass_create(&pass, ctx, type, 4, terms, column, &s.data, false, true), "levels");
+            ok(hg_strand_pass_backend(pass, ctx, HG_BACKEND_INTERPRETER, NULL), "levels");
+            ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, a->data, expected, NULL, 4), "levels");
+            for (int level = 0; level < 4; level++) {
+                if (hg_strand_pass_backend(pass, ctx, HG_BACKEND_COMPILED, levels[level]) != HG_OK) continue;
+                found++;
+                ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, b->data, energies, NULL, 4), levels[level]);
+                double worst = 0, largest = 0;
+                for (int64_t i = 0; i < hg_tensor_count(x); i++) {
+                    worst = fmax(worst, fabs(value(a, i) - value(b, i)));
+                    largest = fmax(largest, fabs(value(a, i)));
+                }
+                if (!(worst < (dtype ? 1e-12 : 1e-5) * largest))
+                    fail_msg("%s: gradient off by %.3e", levels[level], worst / largest);
+                if (!(difference(energies, expected, 4) < (dtype ? 1e-12 : 1e-5)))
+                    fail_msg("%s: energies differ", levels[level]);
+            }
+            hg_strand_pass_destroy(pass);
+            scene_free(&s);
+            hg_ctx_destroy(ctx);
+        }
+    assert_true(found > 0);
+}
+
 static void test_no_kernel(void **state)
 {
     (void)state;
@@ -746,11 +795,12 @@ static void test_refusals(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients),  cmocka_unit_test(test_f32),          cmocka_unit_test(test_compiled),
-        cmocka_unit_test(test_no_kernel),  cmocka_unit_test(test_threads),      cmocka_unit_test(test_hoisting),
-        cmocka_unit_test(test_posed),      cmocka_unit_test(test_invariance),   cmocka_unit_test(test_rest),
-        cmocka_unit_test(test_degenerate), cmocka_unit_test(test_lengths),      cmocka_unit_test(test_no_strands),
-        cmocka_unit_test(test_tape),       cmocka_unit_test(test_steady_state), cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_gradients),  cmocka_unit_test(test_f32),        cmocka_unit_test(test_compiled),
+        cmocka_unit_test(test_levels),     cmocka_unit_test(test_no_kernel),  cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_hoisting),   cmocka_unit_test(test_posed),      cmocka_unit_test(test_invariance),
+        cmocka_unit_test(test_rest),       cmocka_unit_test(test_degenerate), cmocka_unit_test(test_lengths),
+        cmocka_unit_test(test_no_strands), cmocka_unit_test(test_tape),       cmocka_unit_test(test_steady_state),
+        cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

@@ -214,21 +214,34 @@ static void demand(planner *p, bool *seen, int node)
     demand(p, seen, n.c);
 }
 
-/* Groom values that are one cheap step away from others that are stored anyway are not worth the memory they would be
- * read from. */
+/* Cheap steps from stored values and literals to a groom value, `enough` where there is no such way. */
+enum { CHEAP = 4, ENOUGH };
+static int steps_from_stored(planner *p, int node, int without)
+{
+    const hg_node n = p->graph.nodes[node];
+    if (n.op == HG_NODE_NUMBER) return 0;
+    if (rate(p, node) != HG_RATE_GROOM || n.op == HG_NODE_INPUT || n.op == HG_NODE_DIV || n.op == HG_NODE_SQRT ||
+        n.op == HG_NODE_RSQRT || (n.op >= HG_NODE_EXP && n.op <= HG_NODE_ATAN2))
+        return ENOUGH;
+    const int arguments[3] = { n.a, n.b, n.c };
+    int steps = 1;
+    for (int k = 0; k < hg_node_arguments((hg_node_op)n.op) && steps < ENOUGH; k++) {
+        const int argument = arguments[k];
+        if (k > 0 && argument == arguments[k - 1]) continue;
+        const int stored = rate(p, argument) == HG_RATE_GROOM ? canonical(p, argument) : argument;
+        if (stored != without && p->index[stored] >= 0 && rate(p, argument) == HG_RATE_GROOM) continue;
+        steps += steps_from_stored(p, argument, without);
+    }
+    return steps;
+}
+
+/* Groom values that are a few cheap steps away from others that are stored anyway are not worth the memory they would
+ * be read from: a large groom is bound by memory, not by arithmetic. */
 static void drop_cheap(planner *p)
 {
     hg_strand_program *program = p->program;
     for (int i = program->n_site - 1; i >= 0; i--) {
-        const hg_node n = p->graph.nodes[p->stored[i]];
-        bool cheap = n.op == HG_NODE_ADD || n.op == HG_NODE_SUB || n.op == HG_NODE_MUL || n.op == HG_NODE_NEG;
-        const int arguments[2] = { n.a, n.b };
-        for (int k = 0; k < 2 && cheap && arguments[k] >= 0; k++) {
-            const int argument = arguments[k];
-            if (rate(p, argument) == HG_RATE_CONSTANT) continue;
-            cheap = rate(p, argument) == HG_RATE_GROOM && p->index[canonical(p, argument)] >= 0;
-        }
-        if (!cheap) continue;
+        if (steps_from_stored(p, p->stored[i], p->stored[i]) > CHEAP) continue;
         p->index[p->stored[i]] = -1;
         for (int j = i + 1; j < program->n_site; j++) {
             p->stored[j - 1] = p->stored[j];
