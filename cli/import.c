@@ -5,6 +5,16 @@
 #include <stdlib.h>
 #include <string.h>
 
+/* Puts the file's name before a message that does not have it. */
+static hg_status of_file(hg_status status, const char *path)
+{
+    if (status == HG_OK || strstr(hg_message(), path)) return status;
+    char *message = hg_strdup(hg_message());
+    if (message) hg_fail(status, "%s: %s", path, message);
+    hg_free(message);
+    return status;
+}
+
 /* ---- body ---------------------------------------------------------------------------------------------------- */
 
 static hg_status import_body(hg_ctx *ctx, const char *folder, const hg_arguments *arguments, const char *output)
@@ -59,7 +69,7 @@ static hg_status import_motion(hg_ctx *ctx, const char *path, const hg_arguments
     hg_motion *motion = NULL;
     hg_status status = hg_body_load(&body, body_path);
     if (status == HG_OK) status = read_clip(&clip, path, arguments);
-    if (status == HG_OK) status = hg_clip_retarget(&motion, clip, body, rate);
+    if (status == HG_OK) status = of_file(hg_clip_retarget(&motion, clip, body, rate), path);
     if (status == HG_OK) {
         const char *name = strrchr(path, '/');
         hg_free(motion->name);
@@ -123,10 +133,11 @@ static void say_dropped(const hg_groom_report *report)
     printf("\n");
 }
 
-static void say_fitted(const hg_groom *groom, const hg_similarity *similarity, bool found, const hg_fit_report *report)
+static void say_fitted(const hg_groom *groom, const hg_similarity *similarity, const char *how,
+                       const hg_fit_report *report)
 {
     double vertices = (double)(groom->strands * (groom->vertices - 1));
-    printf("similarity %s: scale %.6f, translation %.6f, %.6f, %.6f\n", found ? "found" : "given", similarity->scale,
+    printf("similarity %s: scale %.6f, translation %.6f, %.6f, %.6f\n", how, similarity->scale,
            similarity->translation[0], similarity->translation[1], similarity->translation[2]);
     printf("roots moved to the scalp: median %.1f mm, 95 %% under %.1f, most %.1f; %lld (%.1f %%) by more than 1 cm\n",
            1e3 * report->moved_median, 1e3 * report->moved_p95, 1e3 * report->moved_max, (long long)report->moved_far,
@@ -185,10 +196,10 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     if (status == HG_OK) status = hg_curves_read(&curves, path);
     if (status == HG_OK) {
         to_world(curves->points, curves->start[curves->strands], unit, z_up);
-        status = hg_groom_from_curves(&groom, curves, vertices, &read);
+        status = of_file(hg_groom_from_curves(&groom, curves, vertices, &read), path);
     }
     if (status == HG_OK) status = get_similarity(ctx, arguments, body, groom, unit, z_up, &similarity);
-    if (status == HG_OK) status = hg_fit_groom(ctx, groom, body, &similarity, &fitted);
+    if (status == HG_OK) status = of_file(hg_fit_groom(ctx, groom, body, &similarity, &fitted), body_path);
     if (status == HG_OK) {
         const char *name = strrchr(path, '/');
         hg_free(groom->name);
@@ -198,7 +209,10 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     if (status == HG_OK) {
         printf("%s: %lld strands of %lld vertices\n", output, (long long)groom->strands, (long long)groom->vertices);
         say_dropped(&read);
-        say_fitted(groom, &similarity, cli_flag(arguments, "find"), &fitted);
+        const char *how = cli_flag(arguments, "find")                ? "found"
+                          : cli_value(arguments, "similarity", NULL) ? "given"
+                                                                     : "not asked for";
+        say_fitted(groom, &similarity, how, &fitted);
     }
     hg_groom_destroy(groom);
     hg_curves_destroy(curves);

@@ -89,7 +89,8 @@ static int compare(const void *a, const void *b)
 static hg_status near_roots(int64_t n, const float *source, const hg_groom *groom, double **out, int64_t *count)
 {
     int64_t step = groom->strands / MOST_ROOTS + 1, roots = 0;
-    hg_vec3d low = hg_vec3d_make(INFINITY, INFINITY, INFINITY), high = hg_vec3d_neg(low);
+    const double far = (double)INFINITY;
+    hg_vec3d low = hg_vec3d_make(far, far, far), high = hg_vec3d_neg(low);
     double *root = hg_alloc((size_t)(groom->strands / step + 1), 3 * sizeof *root),
            *kept = hg_alloc((size_t)n, 3 * sizeof *kept);
     if (!root || !kept) {

@@ -436,6 +436,7 @@ static hg_status find_scalp(maker *m)
     hg_body *body = m->body;
     const double axis_angle = 35 * 3.14159265358979323846 / 180;
     int head = find_joint(body, "Head");
+    if (head < 0) head = find_joint(body, "head"); /* of rigs for games */
     if (head < 0) return hg_fail(HG_FORMAT, "%s: no bone \"Head\", on which the scalp would be", m->rig_path);
     body->scalp_axis[1] = cos(axis_angle);
     body->scalp_axis[2] = -sin(axis_angle);

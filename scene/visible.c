@@ -68,7 +68,8 @@ hg_status scene_visible_faces(const char *path, int64_t n_vertices, const float 
                               const int32_t *faces, int32_t *asked, int64_t *count)
 {
     if (*count == 0) return HG_OK;
-    hg_vec3d low = hg_vec3d_make(INFINITY, INFINITY, INFINITY), high = hg_vec3d_neg(low);
+    const double far = (double)INFINITY;
+    hg_vec3d low = hg_vec3d_make(far, far, far), high = hg_vec3d_neg(low);
     for (int64_t i = 0; i < 3 * *count; i++) {
         const float *v = vertices + 3 * (int64_t)faces[3 * (int64_t)asked[i / 3] + i % 3];
         low = hg_vec3d_make(fmin(low.x, (double)v[0]), fmin(low.y, (double)v[1]), fmin(low.z, (double)v[2]));

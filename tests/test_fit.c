@@ -391,7 +391,7 @@ static void sintel_on_the_real_head(void **state)
     assert_true(fabs(100 * (double)report.inside_before / vertices - 6.9) < 0.1);
     assert_true(report.inside_after == 0);
     roots_lie_on_the_scalp(groom, body);
-    double least = INFINITY, most = 0, mean = 0;
+    double least = (double)INFINITY, most = 0, mean = 0;
     for (int64_t s = 0; s < groom->strands; s++) {
         double length = 0;
         for (int64_t v = 1; v < groom->vertices; v++) {

@@ -158,7 +158,7 @@ static void real_tfx(void **state)
         ok(hg_curves_read(&curves, data(files[i].path)));
         assert_int_equal(curves->strands, files[i].strands);
         assert_int_equal(curves->start[curves->strands], files[i].strands * files[i].points);
-        double least = INFINITY, most = 0, sum = 0;
+        double least = (double)INFINITY, most = 0, sum = 0;
         for (int64_t s = 0; s < curves->strands; s++) {
             double length = 0;
             for (int64_t p = curves->start[s] + 1; p < curves->start[s + 1]; p++)
@@ -676,7 +676,8 @@ static void offsets_in_another_unit_are_noticed(void **state)
     assert_int_equal(clip->frames, 277);
     double thigh = hg_vec3d_norm(hg_vec3d_load(clip->offset + 3 * find(clip, "lknee")));
     assert_true(fabs(thigh - 6.5811 * 0.0254 / 0.45) < 1e-4);
-    double least = INFINITY; /* the foot that stands hardly moves: metres per second, the lowest over the clip */
+    double least =
+        (double)INFINITY; /* the foot that stands hardly moves: metres per second, the lowest over the clip */
     hg_quatd turn[31];
     hg_vec3d place[31], before = { 0, 0, 0 };
     for (int64_t t = 0; t < clip->frames; t++) {
