@@ -35,6 +35,21 @@ static hg_status open_drape(hg_source *s)
                       (void **)&s->rest);
 }
 
+/* A groom is its own rest groom, and all that there is. */
+static hg_status open_groom(hg_source *s)
+{
+    hg_groom *groom;
+    HG_TRY(hg_groom_load(&groom, s->path));
+    s->frames = 1;
+    s->rate = 30.0;
+    s->strands = groom->strands;
+    s->vertices = groom->vertices;
+    s->rest = groom->points;
+    groom->points = NULL;
+    hg_groom_destroy(groom);
+    return HG_OK;
+}
+
 /* A posed scene has strands [T,S,V,3], a groom [S,V,3]. */
 static hg_status open_plain(hg_source *s)
 {
@@ -44,16 +59,14 @@ static hg_status open_plain(hg_source *s)
     int rank;
     int64_t shape[6];
     HG_TRY(hg_h5_shape(s->h5, "strands", &rank, shape));
-    if ((rank != 3 && rank != 4) || shape[rank - 1] != 3 || shape[0] < 1)
+    if (rank == 3) return open_groom(s);
+    if (rank != 4 || shape[3] != 3 || shape[0] < 1)
         return hg_fail(HG_FORMAT, "%s: /strands has %d axes; a groom's are [S,V,3], a posed scene's [T,S,V,3]", s->path,
                        rank);
     s->points = "strands";
-    s->frames = rank == 4 ? shape[0] : 1;
-    s->strands = shape[rank - 3];
-    s->vertices = shape[rank - 2];
-    s->rate = 30.0;
-    s->flat = rank == 3; /* a row is a strand */
-    if (rank == 3) return HG_OK;
+    s->frames = shape[0];
+    s->strands = shape[1];
+    s->vertices = shape[2];
     if (hg_h5_get_number(s->h5, "", "rate", &s->rate) != HG_OK || !(s->rate > 0.0)) s->rate = 30.0;
     if (hg_h5_has(s->h5, "root_rotation")) s->rotations = "root_rotation";
     if (hg_h5_has(s->h5, "root_position")) s->positions = "root_position";
@@ -94,7 +107,23 @@ static hg_status open_moving_body(hg_source *s, const char *path)
                       (void **)&s->body_rest);
 }
 
-/* A body.h5 has the triangles and the rest vertices; a posed scene the vertices by frame. */
+/* A posed scene has the body's vertices by frame, for whatever triangles were found. */
+static hg_status use_posed_vertices(hg_source *s)
+{
+    int rank;
+    int64_t shape[6];
+    HG_TRY(hg_h5_shape(s->h5, "body_vertices", &rank, shape));
+    if (rank != 3 || shape[2] != 3 || (s->body_vertices > 0 && shape[1] != s->body_vertices))
+        return hg_fail(HG_FORMAT, "%s: /body_vertices has %lld vertices a frame, the body %lld", s->path,
+                       (long long)shape[1], (long long)s->body_vertices);
+    s->body_points = "body_vertices";
+    s->body_frames = shape[0];
+    s->body_vertices = shape[1];
+    s->body_h5 = s->h5;
+    return HG_OK;
+}
+
+/* A body.h5 has the triangles and the rest vertices. */
 static hg_status open_body(hg_source *s, const char *path)
 {
     hg_body *body;
@@ -106,17 +135,15 @@ static hg_status open_body(hg_source *s, const char *path)
     body->points = NULL;
     body->triangles = NULL;
     hg_body_destroy(body);
-    if (!hg_h5_has(s->h5, "body_vertices")) return HG_OK;
-    int rank;
-    int64_t shape[6];
-    HG_TRY(hg_h5_shape(s->h5, "body_vertices", &rank, shape));
-    if (rank != 3 || shape[1] != s->body_vertices || shape[2] != 3)
-        return hg_fail(HG_FORMAT, "%s: /body_vertices has %lld vertices a frame, the body %s has %lld", s->path,
-                       (long long)shape[1], path, (long long)s->body_vertices);
-    s->body_points = "body_vertices";
-    s->body_frames = shape[0];
-    s->body_h5 = s->h5;
-    return HG_OK;
+    return hg_h5_has(s->h5, "body_vertices") ? use_posed_vertices(s) : HG_OK;
+}
+
+static hg_status open_posed_body(hg_source *s)
+{
+    int64_t shape[2] = { -1, 3 };
+    HG_TRY(hg_h5_read(s->h5, "triangles", HG_I32, 2, shape, shape, (void **)&s->triangles));
+    s->body_faces = shape[0];
+    return use_posed_vertices(s);
 }
 
 /* The body that a drape names lies beside it; without it the hair is drawn alone. */
@@ -137,22 +164,21 @@ static hg_status find_body(hg_source *s, const char *given)
     char *found = NULL;
     if (!given && hg_h5_has(s->h5, "VTKHDF")) found = body_beside(s);
     const char *path = given ? given : found;
-    if (!path) return HG_OK;
-    hg_h5 *h5;
-    hg_status status = hg_h5_open(&h5, path);
-    if (status == HG_OK && hg_h5_has(h5, "VTKHDF")) {
+    hg_status status = HG_OK;
+    hg_h5 *h5 = NULL;
+    if (!path) {
+        if (hg_h5_has(s->h5, "triangles") && hg_h5_has(s->h5, "body_vertices")) status = open_posed_body(s);
+    } else if ((status = hg_h5_open(&h5, path)) == HG_OK && hg_h5_has(h5, "VTKHDF")) {
         s->body_h5 = h5;
         status = open_moving_body(s, path);
     } else if (status == HG_OK) {
         hg_h5_close(h5);
         status = open_body(s, path);
     }
-    if (status == HG_OK && s->body_vertices > 0) {
-        s->body = hg_alloc((size_t)s->body_vertices, 3 * sizeof *s->body);
-        if (!s->body) status = HG_MEMORY;
-    }
     hg_free(found);
-    return status;
+    if (status != HG_OK || s->body_vertices < 1) return status;
+    s->body = hg_alloc((size_t)s->body_vertices, 3 * sizeof *s->body);
+    return s->body ? HG_OK : HG_MEMORY;
 }
 
 /* ---- frames -------------------------------------------------------------------------------------------------- */
@@ -202,13 +228,16 @@ hg_status hg_source_read(hg_source *s, int64_t frame, source_version version)
                        "%s: holds no rest groom and root frames beside its strands, so there is nothing to "
                        "compare with",
                        s->path);
-    bool groom = s->flat && s->frames == 1 && strcmp(s->points, "strands") == 0;
-    HG_TRY(read_frame(s->h5, s->points, s->flat, frame, groom ? s->strands : s->strands * s->vertices, s->x));
+    size_t bytes = (size_t)(3 * s->strands * s->vertices) * sizeof *s->x;
+    if (s->points)
+        HG_TRY(read_frame(s->h5, s->points, s->flat, frame, s->strands * s->vertices, s->x));
+    else
+        memcpy(s->x, s->rest, bytes);
     HG_TRY(read_roots(s, frame));
     if (version == SOURCE_POSED)
         hg_pose_strands(s->ctx, s->strands, s->vertices, s->rest, s->rotation, s->position, s->x);
     if (version == SOURCE_REST) {
-        memcpy(s->x, s->rest, (size_t)(3 * s->strands * s->vertices) * sizeof *s->x);
+        memcpy(s->x, s->rest, bytes);
         for (int64_t i = 0; i < s->strands; i++) {
             memcpy(s->rotation + 4 * i, (float[]){ 1, 0, 0, 0 }, 4 * sizeof(float));
             memcpy(s->position + 3 * i, s->x + 3 * i * s->vertices, 3 * sizeof(float));

@@ -9,7 +9,7 @@ typedef enum { SOURCE_FILE, SOURCE_POSED, SOURCE_REST } source_version; /* as th
 typedef struct {
     hg_ctx *ctx;
     char *path;
-    const char *points; /* the dataset of the strands */
+    const char *points; /* the dataset of the strands; NULL: rest is all there is */
     bool flat;          /* rows of it are points, not frames */
     int64_t frames, strands, vertices;
     double rate;
