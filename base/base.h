@@ -9,6 +9,8 @@
  *         HG_TRY(hg_file_read(path, &bytes, &size));
  *         if (size < 160) { hg_free(bytes); return hg_fail(HG_FORMAT, "%s: %zu bytes, a header needs 160", path, size); }
  *         ...
+ *         hg_free(bytes);
+ *         return HG_OK;
  *     }
  *
  * Registry. Everything that is known by a name (an op, an energy, a model, a reader, a subcommand) is a constant

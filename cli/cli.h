@@ -1,7 +1,7 @@
 /* cli: the program. One file per subcommand, no logic of its own; the only floor that prints and exits.
  *
  *     static int info(const hg_arguments *arguments) { ... return 0; }
- *     HG_COMMAND(info, "what a groom, body, motion, run or drape file holds", info_options, "FILE...")
+ *     HG_COMMAND(info, .what = "what a file holds", .usage = "FILE...", .min_free = 1, .max_free = 64, .run = info);
  */
 #ifndef HG_CLI_H
 #define HG_CLI_H

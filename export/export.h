@@ -1,7 +1,7 @@
 /* export: networks and results for the world outside: ONNX, HDF5 weights, VTKHDF drapes, pictures.
  *
  *     hg_onnx_export(ctx, "model.onnx", forward, self, &(hg_onnx_options){ .input = "features", .columns = 748 });
- *     hg_vtkhdf_create(&file, "drape.vtkhdf", strands, vertices, frames, 30.0);
+ *     hg_vtkhdf_create_strands(&file, "drape.vtkhdf", frames, strands, vertices, 30.0);
  *     hg_image_write_png(image, "drape.png");
  */
 #ifndef HG_EXPORT_H

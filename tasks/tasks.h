@@ -1,9 +1,9 @@
 /* tasks: what a model is trained on. Features, frames, sampling, losses, metrics; from one YAML config.
  *
  *     hg_hair_task *hair;
- *     hg_hair_task_create(&hair, ctx, config, &progress);        loads or makes groom, body, motions; encoder; physics
+ *     hg_hair_task_create(&hair, ctx, config, "out/run", &progress);        loads or makes groom, body, motions; encoder; physics
  *     hg_train(ctx, hg_hair_model(hair), hg_hair_task_of(hair), &options, &progress, &result);
- *     hg_hair_evaluate(hair, ctx, clip, shape, &metrics);
+ *     hg_hair_evaluate(hair, ctx, clip, shape, clip->frames, &metrics, &progress);
  *
  * See DESIGN of features in docs/neuralocks.md: order and scaling of every network input.
  */

@@ -1,0 +1,6 @@
+/* The example of cli/cli.h, compiled. */
+#include "cli/cli.h"
+
+#include "example.inc"
+
+int main(void) { return hg_find("command", "info") == NULL; }
