@@ -20,12 +20,12 @@ typedef struct { const char *path; char *bytes; const char *at, *end, *line_end;
 
 hg_status hg_lines_open(hg_lines *lines, const char *path);
 void      hg_lines_close(hg_lines *lines);
-bool      hg_lines_next(hg_lines *lines);                        /* to the next line with a word that does not start with # */
+bool      hg_lines_next(hg_lines *lines);                     /* to the next line that has a word and is no comment */
 bool      hg_lines_word(hg_lines *lines, hg_word *word);         /* next word of the line; false at its end */
-bool      hg_lines_flow(hg_lines *lines, hg_word *word);         /* next word, in this line or a later one; false at the end of the file */
+bool      hg_lines_flow(hg_lines *lines, hg_word *word); /* next word of this line or a later one; false at the end */
 size_t    hg_lines_left(const hg_lines *lines);                  /* bytes up to the end of the file: bounds any count */
-hg_status hg_lines_fail(const hg_lines *lines, const char *format, ...) HG_PRINTF(2, 3); /* HG_FORMAT "path:line: ..." */
-hg_status hg_lines_number(hg_lines *lines, double *number, const char *what);            /* next word of the line, finite */
+hg_status hg_lines_fail(const hg_lines *lines, const char *format, ...) HG_PRINTF(2, 3); /* "path:line: ..." */
+hg_status hg_lines_number(hg_lines *lines, double *number, const char *what); /* next word of the line, finite */
 
 bool  hg_word_is(hg_word word, const char *text);                /* case counts */
 bool  hg_word_is_any_case(hg_word word, const char *text);

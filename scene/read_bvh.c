@@ -1,8 +1,8 @@
 /* Biovision .bvh: a hierarchy of joints with offsets and channels, then one line of channel values per frame.
  *
  * Channels are applied in the order given: rotations Z, Y, X mean Rz Ry Rx. Positions of joints other than the root are
- * passed over. A first frame with an unturned root, whole degrees and nearly all of them zero is a T-pose that converters
- * put before a clip, and is dropped.
+ * passed over. A first frame with an unturned root, whole degrees and nearly all of them zero is a T-pose that
+ * converters put before a clip, and is dropped.
  * A .bvh stores no unit. It is taken to be that of the CMU skeletons unless another one makes the legs human; and in
  * some files offsets are in another power of ten than the root's track: they are brought to the scale of the track. */
 #include "scene/clip.h"

@@ -1,5 +1,5 @@
-/* Wavefront .obj: vertices, texture coordinates, polygons and groups. Polygons are cut as a fan from their first corner,
- * so a quad is cut at the diagonal from corner 0 to corner 2. Everything else in such a file is passed over. */
+/* Wavefront .obj: vertices, texture coordinates, polygons and groups. Polygons are cut as a fan from their first
+ * corner, so a quad is cut at the diagonal from corner 0 to corner 2. Everything else in such a file is passed over. */
 #include "scene/lines.h"
 #include "scene/scene.h"
 

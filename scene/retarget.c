@@ -14,7 +14,7 @@
 typedef enum { KEEP, CHAIN, PARENT, SOLE } rule;
 
 /* A joint of the body; what the CMU .asf, the .bvh made for MotionBuilder and the .bvh made for Poser call it; how its
- * rest pose is brought over, and the joint at the far end of its bone (CHAIN), or the one whose bone is a shin (SOLE). */
+ * rest pose is brought over, the joint at the far end of its bone (CHAIN), or the one whose bone is a shin (SOLE). */
 typedef struct {
     const char *name, *asf, *builder, *poser;
     rule rule;
@@ -80,7 +80,7 @@ static const char *row_name(const joint_row *row, int scheme)
     return scheme == 1 ? row->asf : scheme == 2 ? row->builder : scheme == 3 ? row->poser : row->name;
 }
 
-/* The scheme of names that fits most joints: `lhand` alone says nothing, an .asf means another joint by it than Poser. */
+/* The scheme of names that fits most joints: `lhand` alone says nothing, an .asf and Poser mean different joints by it. */
 static int find_scheme(const hg_clip *clip)
 {
     int best = 0, best_count = -1;
@@ -105,7 +105,7 @@ static hg_vec3d body_joint(const hg_body *body, int joint)
     return hg_vec3d_make((double)p[0], (double)p[1], (double)p[2]);
 }
 
-/* The bone from joint to `end` in the body and in the clip; false when either of them lacks it or has it at length 0. */
+/* The bone from joint to `end` in the body and in the clip; false when either lacks it or has it at length 0. */
 static bool bones(const retarget *r, int joint, const char *end, hg_vec3d *in_body, hg_vec3d *in_clip)
 {
     int last = hg_body_joint(r->body, end);

@@ -1,6 +1,6 @@
 /* Which triangles can be seen from outside: the faces are drawn, without perspective and with a depth buffer, from
- * directions spread evenly over the sphere (a Fibonacci spiral). A face is seen when it owns at least a few per cent of the
- * pixels that it would have alone: one glimpse through a slit between lips is not enough. */
+ * directions spread evenly over the sphere (a Fibonacci spiral). A face is seen when it owns at least a few per cent of
+ * the pixels that it would have alone: one glimpse through a slit between lips is not enough. */
 #include "scene/visible.h"
 
 #include "geometry/vector.h"

@@ -188,7 +188,7 @@ static inline hg_status small_groom(hg_groom **groom, const hg_body *body)
     return HG_OK;
 }
 
-/* ---- clips -------------------------------------------------------------------------------------------------------- */
+/* ---- clips ------------------------------------------------------------------------------------------------------ */
 
 static const char small_asf[] =
     "# a skeleton\n:version 1.10\n:name VICON\n:units\n  mass 1.0\n  length 0.45\n  angle deg\n"

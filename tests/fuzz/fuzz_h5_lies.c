@@ -1,5 +1,5 @@
-/* Groom, body and motion files that are sound HDF5 but lie: datasets that are gone, of another shape, type or size (up to
- * sizes that no memory holds, which cost nothing in a file), strange values, strange attributes. */
+/* Groom, body and motion files that are sound HDF5 but lie: datasets that are gone, of another shape, type or size (up
+ * to sizes that no memory holds, which cost nothing in a file), strange values, strange attributes. */
 #include "tests/fuzz/fuzz.h"
 #include "tests/small_files.h"
 
