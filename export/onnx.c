@@ -394,12 +394,14 @@ static hg_status emit_calls(builder *b, int first)
     for (int i = first; i < n; i++) {
         const hg_call *call = hg_tape_call(b->ctx, i);
         b->call = call;
-        if (!call->op->emit)
-            return hg_fail(
-                HG_UNSUPPORTED,
-                "ONNX export: op '%s' (recorded at %s:%d) has no ONNX form; write the formula with others or "
-                "give the op an emitter",
-                call->op->name, call->file ? call->file : "?", call->line);
+        if (!call->op->emit) {
+            char place[256] = "";
+            if (call->file) snprintf(place, sizeof place, " (recorded at %.200s:%d)", call->file, call->line);
+            return hg_fail(HG_UNSUPPORTED,
+                           "ONNX export: op '%s'%s has no ONNX form; write the formula with others or give the op an "
+                           "emitter",
+                           call->op->name, place);
+        }
         hg_status status = call->op->emit(call, &emitter);
         HG_TRY(b->status);
         HG_TRY(status);

@@ -105,14 +105,48 @@ static hg_tensor *pairs(void *self, hg_ctx *ctx, hg_tensor *x)
     return hg_linear_pair(ctx, rows, hg_matmul(ctx, x, s->kept[1]), HG_TANH);
 }
 
+static hg_tensor *normalisations(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, NULL, SHAPE(COLUMNS), 0.5, 1.5);
+        numbers(s, ctx, NULL, SHAPE(COLUMNS), -1, 1);
+        numbers(s, ctx, NULL, SHAPE(4), 0.5, 1.5);
+        numbers(s, ctx, NULL, SHAPE(4), -1, 1);
+    }
+    hg_tensor *a = hg_layer_norm(ctx, x, s->kept[0], s->kept[1], 1e-5);
+    hg_tensor *b = hg_reshape(ctx, hg_softmax(ctx, a), SHAPE(-1, 4, 3));
+    hg_tensor *c = hg_group_norm(ctx, b, s->kept[2], s->kept[3], 2, 1e-5);
+    hg_tensor *all = hg_mul(ctx, hg_sum(ctx, x), hg_mean(ctx, x)); /* over the rows too */
+    hg_tensor *whole = hg_cast(ctx, hg_cast(ctx, hg_scale(ctx, all, 3.0, 0.0), HG_I32), HG_F64);
+    return hg_add(ctx, c, hg_cast(ctx, whole, HG_F32));
+}
+
+static hg_tensor *vectors(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    (void)self;
+    hg_tensor *q = hg_normalize(ctx, hg_reshape(ctx, x, SHAPE(-1, 3, 4)));
+    return hg_mul(ctx, hg_dot(ctx, q, hg_quat_conjugate(ctx, q)), hg_norm(ctx, hg_add(ctx, q, hg_square(ctx, q))));
+}
+
+/* Edges of a constant rest strand that turn. */
+static hg_tensor *edges(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        hg_tensor *rest = numbers(s, ctx, NULL, SHAPE(1, 5, 3), -0.1, 0.1);
+        for (int v = 0; v < 5; v++) ((float *)rest->data)[3 * v + 1] -= 0.3f * (float)v;
+    }
+    return hg_turn_edges(ctx, hg_reshape(ctx, x, SHAPE(-1, 1, 4, 3)), s->kept[0]);
+}
+
 static const struct {
     const char *name;
     formula forward;
-} formulas[] = { { "network", network },
-                 { "elementwise", elementwise },
-                 { "layout", layout },
-                 { "reductions", reductions },
-                 { "pairs", pairs } };
+} formulas[] = { { "network", network }, { "elementwise", elementwise },
+                 { "layout", layout },   { "reductions", reductions },
+                 { "pairs", pairs },     { "normalisations", normalisations },
+                 { "vectors", vectors }, { "edges", edges } };
 #define FORMULAS (int)(sizeof formulas / sizeof *formulas)
 
 static hg_ctx *context(void)
@@ -248,6 +282,34 @@ static void every_formula_parses(void **state)
     }
 }
 
+/* Whatever op has an emitter is in one of the formulas above, so that ONNX Runtime has run it. */
+static void every_emitter_is_tried(void **state)
+{
+    (void)state;
+    const char *names[128];
+    bool tried[128] = { 0 };
+    int n = hg_list("op", names, 128);
+    assert_in_range(n, 1, 128);
+    hg_ctx *ctx = context();
+    for (int f = 0; f < FORMULAS; f++) {
+        shelf s = { 0 };
+        hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 2, COLUMNS });
+        OK(hg_tensor_fill(x, 0.5));
+        hg_tape_record_all(ctx, true);
+        assert_non_null(formulas[f].forward(&s, ctx, x));
+        hg_tape_record_all(ctx, false);
+        for (int i = 0; i < hg_tape_count(ctx); i++)
+            for (int k = 0; k < n; k++) tried[k] |= strcmp(names[k], hg_tape_call(ctx, i)->op->name) == 0;
+        hg_step_reset(ctx);
+        empty(&s);
+    }
+    for (int k = 0; k < n; k++) {
+        const hg_op *op = hg_find("op", names[k]);
+        if (op->emit && !tried[k]) fail_msg("op '%s' can be exported, but no formula here uses it", names[k]);
+    }
+    hg_ctx_destroy(ctx);
+}
+
 /* ---- refusals ------------------------------------------------------------------------------------------------ */
 
 static hg_tensor *mute_shape(hg_call *call)
@@ -376,6 +438,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(file_of_a_network),
         cmocka_unit_test(every_formula_parses),
+        cmocka_unit_test(every_emitter_is_tried),
         cmocka_unit_test(refusals),
         cmocka_unit_test(dump),
     };
