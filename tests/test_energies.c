@@ -4,12 +4,13 @@
 #include "energies_scene.h"
 
 #include "hairloss/physics.h"
+#include "hairloss/usual_sums.h"
 
 #include <setjmp.h>
 #include <stdarg.h>
 #include <cmocka.h>
 
-enum { MAX_ENERGIES = 64 };
+enum { MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
 
 typedef struct {
     hg_term term;
@@ -204,52 +205,19 @@ static void test_f32(void **state)
 
 /* ---- printed kernels, hoisting, threads ------------------------------------------------------------------------ */
 
-typedef struct {
-    const char *energy, *options[HG_ENERGY_OPTIONS];
-} choice;
-
-/* The sums that are printed when the library is built (hairloss/generate_kernels.c), in any order. */
-static const choice usual[][8] = {
-    { { "stretch", { 0 } }, { "bend_twist", { 0 } }, { "gravity", { 0 } }, { "inertia", { 0 } } },
-    { { "stretch", { 0 } },
-      { "bend_twist", { "smooth", "clamped" } },
-      { "gravity", { 0 } },
-      { "inertia", { 0 } },
-      { "drag", { 0 } },
-      { "body_collision", { "exact", "true" } },
-      { "hair_style", { "scalp" } } },
-    { { "stretch", { 0 } },
-      { "bend_twist", { "published", "clamped" } },
-      { "gravity", { 0 } },
-      { "inertia", { 0 } },
-      { "drag", { 0 } },
-      { "body_collision", { "exact", "true" } },
-      { "hair_style", { "scalp" } } },
-    { { "gravity", { 0 } },
-      { "stretch", { 0 } },
-      { "bend_twist", { "smooth", "clamped" } },
-      { "body_collision", { "exact", "true" } },
-      { "hair_style", { "scalp" } } },
-    { { "gravity", { 0 } },
-      { "stretch", { 0 } },
-      { "bend_twist", { "published", "clamped" } },
-      { "body_collision", { "exact", "true" } },
-      { "hair_style", { "scalp" } } },
-};
-enum { USUAL = sizeof usual / sizeof *usual };
-
-static int usual_terms(int number, hg_term terms[8])
+static int usual_terms(int number, hg_term terms[USUAL_TERMS])
 {
     int n = 0;
-    for (; n < 8 && usual[number][n].energy; n++)
-        terms[n] = (hg_term){ hg_energy_find(usual[number][n].energy), 0.5 + 0.25 * n, NULL, usual[number][n].options };
+    for (; n < USUAL_TERMS && usual_sums[number][n].energy; n++)
+        terms[n] = (hg_term){ hg_energy_find(usual_sums[number][n].energy), 0.5 + 0.25 * n, NULL,
+                              usual_sums[number][n].options };
     return n;
 }
 
 static void test_compiled(void **state)
 {
     (void)state;
-    for (int sum = 0; sum < USUAL; sum++)
+    for (int sum = 0; sum < USUAL_SUMS; sum++)
         for (int64_t V = 1; V <= 40; V += V < 6 ? 1 : 17)
             for (int dtype = 0; dtype < 2; dtype++) {
                 hg_term terms[8];
@@ -346,7 +314,7 @@ static void test_no_kernel(void **state)
 static void test_threads(void **state)
 {
     (void)state;
-    for (int sum = 0; sum < 2; sum++)
+    for (int sum = 0; sum <= WITH_STYLE; sum += WITH_STYLE)
         for (int k = 0; k < 4; k++) {
             hg_term terms[8];
             const int n = usual_terms(sum, terms);
@@ -574,7 +542,7 @@ static void test_degenerate(void **state)
 {
     (void)state;
     each_variant(check_degenerate, NULL);
-    for (int sum = 0; sum < USUAL; sum++) /* and printed */
+    for (int sum = 0; sum < USUAL_SUMS; sum++) /* and printed */
         for (int how = 0; how < DEGENERATE; how++)
             for (int64_t V = 1; V <= 7; V++) {
                 hg_term terms[8];
@@ -596,7 +564,7 @@ static void test_lengths(void **state)
     (void)state;
     for (int64_t V = 1; V <= 40; V++) {
         hg_term terms[8];
-        const int n = usual_terms(1, terms);
+        const int n = usual_terms(WITH_STYLE, terms);
         hg_ctx *ctx = make_context(1);
         scene s;
         scene_make(&s, 1, 1, 2, V, 0.2);
@@ -663,7 +631,7 @@ static void test_tape(void **state)
 {
     (void)state;
     hg_term terms[8];
-    const int n = usual_terms(1, terms);
+    const int n = usual_terms(WITH_STYLE, terms);
     hg_ctx *ctx = make_context(1);
     scene s;
     scene_make(&s, 1, 1, 2, 6, 0.1);
@@ -709,7 +677,7 @@ static void test_steady_state(void **state)
 {
     (void)state;
     hg_term terms[8];
-    const int n = usual_terms(1, terms);
+    const int n = usual_terms(WITH_STYLE, terms);
     hg_ctx *ctx = make_context(2);
     scene s;
     scene_make(&s, 1, 1, 100, 12, 0.1);
