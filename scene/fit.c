@@ -2,8 +2,8 @@
  *
  * The similarity between the heads is found by trimmed iterative closest points without rotation: skulls are nearly
  * spheres, so a free rotation drifts. Roots are then projected to the scalp and strands follow; vertices that end
- * inside the body are pushed out along the exact distance, once, at rest: displacements are smoothed along the strand, and the
- * strand is resampled by arc length, several times over, so that kinks and uneven edges stay small. */
+ * inside the body are pushed out along the exact distance, once, at rest: displacements are smoothed along the strand,
+ * and the strand is resampled by arc length, several times over, so that kinks and uneven edges stay small. */
 #include "scene/internal.h"
 #include "scene/scene.h"
 
