@@ -80,7 +80,7 @@ static const char *row_name(const joint_row *row, int scheme)
     return scheme == 1 ? row->asf : scheme == 2 ? row->builder : scheme == 3 ? row->poser : row->name;
 }
 
-/* The scheme of names that fits most joints: `lhand` alone says nothing, it is another joint in an .asf than in Poser's. */
+/* The scheme of names that fits most joints: `lhand` alone says nothing, an .asf and Poser differ about it. */
 static int find_scheme(const hg_clip *clip)
 {
     int best = 0, best_count = -1;
