@@ -373,6 +373,94 @@ static void refusals(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* ---- a hair network ------------------------------------------------------------------------------------------ */
+
+static const char *property(const Onnx__ModelProto *model, const char *key)
+{
+    for (size_t i = 0; i < model->n_metadata_props; i++)
+        if (strcmp(model->metadata_props[i]->key, key) == 0) return model->metadata_props[i]->value;
+    fail_msg("no metadata '%s'", key);
+    return NULL;
+}
+
+/* Untrained but for weights set here; both files say the same of it, and the sample rows are its answers. */
+static void hair_network(void **state)
+{
+    (void)state;
+    static const char tiny[] = "scene: { strands: 40, vertices: 10, seconds: 1 s, motion_kinds: [turn], "
+                               "held_out_kinds: [shake] }\n"
+                               "model: { width: 16 }\n"
+                               "features: { history: 2, latent: 4, lock_size: 8, encoder_width: 8, encoder_steps: 5 }\n"
+                               "losses: { gravity: {} }\n"
+                               "training: { strands: 16 }\n";
+    int n;
+    const hg_config_row *rows = hg_hair_schema(&n);
+    hg_config *config;
+    hg_hair_task *task;
+    hg_ctx *ctx = context();
+    OK(hg_config_parse(&config, tiny, "tiny.yaml", rows, n));
+    OK(hg_hair_task_create(&task, ctx, config, NULL, NULL));
+    hg_model *model = hg_hair_model(task);
+    hg_tensor *last = model->params[model->n_params - 1];
+    OK(hg_tensor_fill(last, 0.25)); /* the last layer starts at zero */
+    char *onnx_path = test_path("hair.onnx"), *h5_path = test_path("hair.h5");
+    OK(hg_export_hair_onnx(task, ctx, onnx_path));
+    OK(hg_export_hair_h5(task, ctx, h5_path));
+
+    Onnx__ModelProto *parsed = parse(onnx_path);
+    check_order(parsed->graph);
+    assert_string_equal(property(parsed, "vertices"), "10");
+    char *hash = hg_format("%016llx", (unsigned long long)hg_groom_hash(hg_hair_groom(task)));
+    assert_string_equal(property(parsed, "groom_hash"), hash);
+    assert_non_null(strstr(property(parsed, "units"), "metres"));
+    assert_non_null(strstr(property(parsed, "features"), "\"deviation\""));
+    hg_h5 *file;
+    char *text;
+    OK(hg_h5_open(&file, h5_path));
+    OK(hg_h5_get_text(file, "", "groom_hash", &text));
+    assert_string_equal(text, hash);
+    hg_free(text);
+    hg_free(hash);
+
+    int found = 0;
+    for (int i = 0; i < model->n_params; i++) {
+        const hg_tensor *parameter = model->params[i];
+        char *name = hg_format("model/%s", parameter->name);
+        for (char *c = name; *c; c++)
+            if (*c == '.') *c = '/';
+        float *data;
+        OK(hg_h5_read(file, name, HG_F32, parameter->rank, parameter->shape, NULL, (void **)&data));
+        assert_memory_equal(data, parameter->data, hg_tensor_bytes(parameter));
+        hg_free(data);
+        hg_free(name);
+        for (size_t k = 0; k < parsed->graph->n_initializer; k++)
+            found += strcmp(parsed->graph->initializer[k]->name, parameter->name) == 0;
+    }
+    assert_int_equal(found, model->n_params);
+
+    int64_t shape[2] = { -1, -1 };
+    float *raw, *answer;
+    OK(hg_h5_read(file, "sample/features", HG_F32, 2, shape, shape, (void **)&raw));
+    const Onnx__TypeProto__Tensor *type = parsed->graph->input[0]->type->tensor_type;
+    assert_int_equal(type->shape->dim[1]->dim_value, shape[1]);
+    hg_tensor *x = hg_tensor_make(ctx, HG_F32, 2, shape);
+    OK(hg_tensor_write(x, raw));
+    hg_tensor *y = hg_hair_forward_concatenated(task, ctx, x);
+    assert_non_null(y);
+    OK(hg_h5_read(file, "sample/displacement", HG_F32, 2, (int64_t[]){ shape[0], 27 }, NULL, (void **)&answer));
+    assert_memory_equal(answer, y->data, hg_tensor_bytes(y));
+    assert_true(fabsf(answer[0]) > 0.0f);
+    hg_free(raw);
+    hg_free(answer);
+    hg_h5_close(file);
+    onnx__model_proto__free_unpacked(parsed, NULL);
+    hg_free(onnx_path);
+    hg_free(h5_path);
+    hg_hair_task_destroy(task);
+    hg_config_destroy(config);
+    hg_ctx_destroy(ctx);
+}
+
 /* ---- for ONNX Runtime ---------------------------------------------------------------------------------------- */
 
 static void dump_one(const char *folder, int f, int64_t rows)
@@ -436,11 +524,9 @@ static void dump(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(file_of_a_network),
-        cmocka_unit_test(every_formula_parses),
-        cmocka_unit_test(every_emitter_is_tried),
-        cmocka_unit_test(refusals),
-        cmocka_unit_test(dump),
+        cmocka_unit_test(file_of_a_network),      cmocka_unit_test(every_formula_parses),
+        cmocka_unit_test(every_emitter_is_tried), cmocka_unit_test(refusals),
+        cmocka_unit_test(hair_network),           cmocka_unit_test(dump),
     };
     return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }
