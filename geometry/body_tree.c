@@ -264,6 +264,18 @@ int64_t hg_body_tree_vertices(const hg_body_tree *tree) { return tree->n_vertice
 
 hg_body_place hg_body_place_on_triangle(hg_vec3d p, hg_vec3d a, hg_vec3d b, hg_vec3d c)
 {
+    hg_vec3d ab = hg_vec3d_sub(b, a), ac = hg_vec3d_sub(c, a), ap = hg_vec3d_sub(p, a);
+    double ab2 = hg_vec3d_norm2(ab), ac2 = hg_vec3d_norm2(ac), abac = hg_vec3d_dot(ab, ac);
+    double d1 = hg_vec3d_dot(ab, ap), d2 = hg_vec3d_dot(ac, ap), area2 = ab2 * ac2 - abac * abac;
+    hg_body_place face = { .feature = HG_ON_FACE, .distance2 = HUGE_VAL };
+    if (area2 > 1e-20 * ab2 * ac2) {
+        double v = (ac2 * d1 - abac * d2) / area2, w = (ab2 * d2 - abac * d1) / area2;
+        if (v > 0.0 && w > 0.0 && v + w < 1.0) {
+            face.point = hg_vec3d_add_scaled(hg_vec3d_add_scaled(a, v, ab), w, ac);
+            face.distance2 = hg_vec3d_norm2(hg_vec3d_sub(p, face.point));
+            if (area2 > 1e-6 * ab2 * ac2) return face; /* of a sliver v and w are not to be trusted alone */
+        }
+    }
     hg_body_place best = { .distance2 = HUGE_VAL };
     const hg_vec3d corner[4] = { a, b, c, a };
     for (int k = 0; k < 3; k++) {
@@ -283,15 +295,6 @@ hg_body_place hg_body_place_on_triangle(hg_vec3d p, hg_vec3d a, hg_vec3d b, hg_v
         place.distance2 = hg_vec3d_norm2(hg_vec3d_sub(p, place.point));
         if (place.distance2 < best.distance2) best = place;
     }
-    hg_vec3d ab = hg_vec3d_sub(b, a), ac = hg_vec3d_sub(c, a), ap = hg_vec3d_sub(p, a);
-    double ab2 = hg_vec3d_norm2(ab), ac2 = hg_vec3d_norm2(ac), abac = hg_vec3d_dot(ab, ac);
-    double d1 = hg_vec3d_dot(ab, ap), d2 = hg_vec3d_dot(ac, ap), area2 = ab2 * ac2 - abac * abac;
-    if (!(area2 > 1e-20 * ab2 * ac2)) return best;
-    double v = (ac2 * d1 - abac * d2) / area2, w = (ab2 * d2 - abac * d1) / area2;
-    if (!(v > 0.0 && w > 0.0 && v + w < 1.0)) return best;
-    hg_body_place face = { .feature = HG_ON_FACE };
-    face.point = hg_vec3d_add_scaled(hg_vec3d_add_scaled(a, v, ab), w, ac);
-    face.distance2 = hg_vec3d_norm2(hg_vec3d_sub(p, face.point));
     return face.distance2 <= best.distance2 ? face : best;
 }
 
