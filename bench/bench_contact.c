@@ -1,5 +1,5 @@
-/* Speed of what looks for neighbours: the closest triangle of a body, self collision and adhesion, f32, on a bumpy sphere
- * of 26,000 triangles with strands of 25 vertices around it. Medians per evaluation and per vertex.
+/* Speed of what looks for neighbours: the closest triangle of a body, self collision and adhesion, f32, on a bumpy
+ * sphere of 26,000 triangles with strands of 25 vertices around it. Medians per evaluation and per vertex.
  *
  *     bench_contact [threads] [strands] [rounds] */
 #include "geometry/vector.h"

@@ -77,7 +77,7 @@ static double cell_count(const double lo[3], const double hi[3], double width)
     return count;
 }
 
-/* Box and width of the grid: all points if that takes no more than `most` cells, else most of them, else wider cells. */
+/* Box and width of the grid: all points if that takes at most `most` cells, else most points, else wider cells. */
 static void choose_grid(hg_cells *cells, int64_t n, const void *points, double radius, double most)
 {
     double lo[3], hi[3];

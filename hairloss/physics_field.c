@@ -3,8 +3,8 @@
  *     field_i = sum over j within reach, i itself included, of m_j W(|x_i - x_j|),     E = sum_i f(field_i)
  *     dE/dx_i = sum_j (f'_i m_j + f'_j m_i) W'(r) (x_i - x_j) / r
  *
- * Vertices are sorted into cells once per evaluation. Two walks over the neighbours follow, one for the sums and one for
- * the gradient; neighbours are found again in the second, which is cheaper than writing millions of them to memory and
+ * Vertices are sorted into cells once per evaluation. Two walks over the neighbours follow, for the sums and for the
+ * gradient; neighbours are found again in the second, which is cheaper than writing millions of them to memory and
  * reading them back, and vertices whose density is at rest have nothing to do in it. Distances are gathered over many
  * vertices until there are lanes enough for a run of the traced kernel. Every vertex gathers its own gradient: no two
  * threads write to one place, and the order of sums is fixed. */

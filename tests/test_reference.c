@@ -1,5 +1,5 @@
 /* Every energy, with every choice of its options, against values and gradients that PyTorch made from the equations
- * (tests/reference/energies.py). An energy that registers itself or stands in hairloss/ without such a reference fails. */
+ * (tests/reference/energies.py). An energy that registers itself or stands in hairloss/ without a reference fails. */
 #include "hairloss/hairloss.h"
 
 #include "tests/test.h"
@@ -262,7 +262,7 @@ static void test_energies(void **state)
     close_reference(&r);
 }
 
-/* All of them at once, each with a weight of its own: the gradient is the weighted sum, the read-outs stay unweighted. */
+/* All at once, each with a weight of its own: the gradient is the weighted sum, the read-outs stay unweighted. */
 static void test_weighted_sum(void **state)
 {
     (void)state;
