@@ -112,9 +112,9 @@ void hg_arena_reset(hg_arena *arena, bool guard)
 {
     hg_arena_rewind(arena, 0, 0);
     if (arena->n_chunks > 1) {
-        size_t sum = arena->reserved;
         free_chunks(arena);
-        add_chunk(arena, sum); /* when this fails the next allocation tries again and reports */
+        /* One chunk has no gaps, so the most ever in use is enough. When this fails the next allocation reports. */
+        add_chunk(arena, arena->high_water);
     }
     arena->guard = guard && arena->device->host;
 }
