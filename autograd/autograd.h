@@ -38,6 +38,10 @@ hg_tensor *hg_detach(hg_ctx *ctx, hg_tensor *tensor);            /* same data, n
 void       hg_no_grad_begin(hg_ctx *ctx);                        /* nests */
 void       hg_no_grad_end(hg_ctx *ctx);
 hg_status  hg_graph_dot(hg_ctx *ctx, hg_text *dot);              /* the tape as Graphviz */
+/* From here on every op's output and every gradient that a backward makes is searched for numbers that are not finite.
+ * The first one is an error (HG_NUMERIC) that names op, caller and element; with a path (kept, may be NULL) the inputs of
+ * that call, and the gradient of its output, are written there as HDF5, to reproduce it. */
+void       hg_trap_nan(hg_ctx *ctx, bool on, const char *path);
 
 /* ---- op table ----------------------------------------------------------------------------------------------- */
 

@@ -17,7 +17,8 @@ typedef struct {
     record **records;
     int n, capacity;
     int no_grad;
-    bool all, walking;
+    bool all, trap;
+    const char *trap_path;
     hg_node *leaves;      /* owned tensors, until they are destroyed */
     hg_node *step_leaves; /* leaves made in this step */
 } tape;
@@ -234,6 +235,7 @@ hg_tensor *hg_apply(hg_ctx *ctx, const hg_op *op, int n_in, hg_tensor *const *in
         if (hg_ctx_status(ctx) == HG_OK) hg_ctx_fail(ctx, status, "%s: %s", op->name, hg_message());
         return NULL;
     }
+    if (t->trap && hg_trap_check(call, false, t->trap_path) != HG_OK) return NULL;
     if (!r->differentiable && !t->all) return call->out;
     for (int i = 0; i < n_in; i++) r->in_version[i] = version_of(call->in[i]);
     for (int i = 0; i < 4; i++) r->saved_version[i] = version_of(call->saved[i]);
@@ -263,6 +265,14 @@ void hg_tape_record_all(hg_ctx *ctx, bool on)
 {
     tape *t = tape_of(ctx);
     if (t) t->all = on;
+}
+
+void hg_trap_nan(hg_ctx *ctx, bool on, const char *path)
+{
+    tape *t = tape_of(ctx);
+    if (!t) return;
+    t->trap = on;
+    t->trap_path = path;
 }
 
 /* ---- backward ---- */
@@ -336,6 +346,7 @@ static hg_status walk(tape *t, hg_tensor *out)
             if (hg_needs_grad(r->call.in[j])) HG_TRY(make_gradient(r->call.in[j]));
         hg_call call = r->call; /* a backward cannot change what was recorded */
         hg_status status = call.op->backward(&call);
+        if (status == HG_OK && t->trap) HG_TRY(hg_trap_check(&call, true, t->trap_path));
         if (status != HG_OK)
             return hg_ctx_fail(call.ctx, status, "backward of %s (recorded at %s:%d): %s", call.op->name,
                                call.file ? call.file : "?", call.line, hg_message());

@@ -41,6 +41,9 @@ hg_status hg_accumulate(hg_ctx *ctx, hg_dtype dtype, int64_t count, const void *
 /* Input i of a sample as a new step tensor of dtype (i32 stays i32), with its values. */
 hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype dtype);
 
+/* HG_NUMERIC when one of the tensors (the output, or the inputs' gradients after a backward) is not finite. */
+hg_status hg_trap_check(const hg_call *call, bool backward, const char *path);
+
 /* Emitting shortcuts. */
 int hg_emit_scalar(hg_emitter *emitter, double value);
 int hg_emit_activation(hg_emitter *emitter, hg_activation activation, int value);

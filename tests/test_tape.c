@@ -322,6 +322,47 @@ static void test_record_all_and_dot(void **state)
     hg_ctx_destroy(ctx);
 }
 
+static void test_trap(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx();
+    char *path = test_path("trap.h5");
+    hg_tensor *a = leaf(ctx, "a", 3, (float[]){ 1, -1, 4 }), *zero = leaf(ctx, "zero", 3, (float[]){ 0, 0, 0 });
+    assert_non_null(hg_log(ctx, a)); /* nothing is said without the trap */
+    hg_trap_nan(ctx, true, path);
+    assert_null(hg_log(ctx, a));
+    assert_int_equal(hg_ctx_status(ctx), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "log (recorded at "));
+    assert_non_null(strstr(hg_ctx_message(ctx), "the output, f32 [3], is "));
+    assert_non_null(strstr(hg_ctx_message(ctx), "nan at [1]"));
+    assert_null(strstr(hg_ctx_message(ctx), "already"));
+    hg_h5 *file;
+    float *input;
+    assert_int_equal(hg_h5_open(&file, path), HG_OK);
+    assert_int_equal(hg_h5_read(file, "input_0", HG_F32, 1, (int64_t[]){ 3 }, NULL, (void **)&input), HG_OK);
+    assert_true(input[1] == -1);
+    hg_free(input);
+    hg_h5_close(file);
+    hg_ctx_clear(ctx);
+    /* Finite forward, not backward; and a file that cannot be written. */
+    hg_trap_nan(ctx, true, "/no/such/folder/trap.h5");
+    hg_tensor *y = hg_sum(ctx, hg_scale(ctx, hg_add(ctx, a, zero), 1e30, 0)),
+              *seed = hg_tensor_make(ctx, HG_F32, 0, NULL);
+    assert_int_equal(hg_tensor_fill(seed, 1e30), HG_OK);
+    assert_int_equal(hg_ctx_status(ctx), HG_OK);
+    assert_int_equal(hg_backward_seeded(ctx, y, seed), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "scale (recorded"));
+    assert_non_null(strstr(hg_ctx_message(ctx), "the gradient of input 0, f32 [3], is inf at [0]"));
+    assert_non_null(strstr(hg_ctx_message(ctx), "could not be written"));
+    hg_ctx_clear(ctx);
+    hg_trap_nan(ctx, false, NULL);
+    assert_non_null(hg_log(ctx, a));
+    hg_free(path);
+    hg_tensor_destroy(a);
+    hg_tensor_destroy(zero);
+    hg_ctx_destroy(ctx);
+}
+
 static void test_steady_state(void **state)
 {
     (void)state;
@@ -412,9 +453,10 @@ int main(void)
         cmocka_unit_test(test_refusals_name_their_op),
         cmocka_unit_test(test_ops_of_ones_own),
         cmocka_unit_test(test_record_all_and_dot),
+        cmocka_unit_test(test_trap),
         cmocka_unit_test(test_steady_state),
         cmocka_unit_test(test_activation_names),
         cmocka_unit_test(test_f32_functions),
     };
-    return cmocka_run_group_tests(tests, NULL, NULL);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }
