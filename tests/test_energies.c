@@ -6,9 +6,14 @@
 #include "hairloss/physics.h"
 #include "hairloss/usual_sums.h"
 
+#include "autograd/trace/strand.h"
+
+#include <dlfcn.h>
 #include <setjmp.h>
 #include <stdarg.h>
 #include <cmocka.h>
+
+#include "energies_own.h"
 
 enum { MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
 
@@ -292,6 +297,115 @@ static void test_levels(void **state)
             hg_ctx_destroy(ctx);
         }
     assert_true(found > 0);
+}
+
+/* Kernels printed here and now, for every energy that there is: what a researcher's own energy becomes. */
+#if defined(__AVX512F__)
+enum { WIDTH = 64 };
+#elif defined(__AVX2__)
+enum { WIDTH = 32 };
+#else
+enum { WIDTH = 16 };
+#endif
+
+typedef struct {
+    hg_text text;
+    hg_dtype dtype;
+    int n;
+    uint64_t hash[MAX_ENERGIES];
+    void *library;
+} printing;
+
+static void print_variant(const variant *v, void *self)
+{
+    printing *p = self;
+    const hg_energy *energy = v->term.energy;
+    if (energy->site.kind != HG_SITE_WINDOW) return;
+    double params[HG_ENERGY_PARAMS];
+    const char *options[HG_ENERGY_OPTIONS];
+    ok(hg_term_complete(&v->term, params, options), v->label);
+    const hg_term term = { energy, 1, params, options };
+    hg_strand_term traced = { .trace = energy->trace, .root = energy->root };
+    hg_term_scope(&traced.scope, &term, 0, HG_ALLOW_WINDOW);
+    hg_strand_program *program;
+    ok(hg_strand_program_create(&program, p->dtype, 1, &traced, true), v->label);
+    p->hash[p->n] = program->hash;
+    for (int i = 0; i < p->n; i++)
+        if (p->hash[i] == program->hash) { /* an option that changes the contact query alone */
+            hg_strand_program_destroy(program);
+            return;
+        }
+    char name[32];
+    snprintf(name, sizeof name, "kernel_%d", p->n);
+    hg_strand_print_c(program, name, &p->text);
+    hg_text_add(&p->text, "hg_strand_kernel *const run_%d = %s;\n\n", p->n++, name);
+    hg_strand_program_destroy(program);
+    assert_true(p->n < MAX_ENERGIES);
+}
+
+static void check_printed(const variant *v, void *self)
+{
+    const printing *p = self;
+    if (v->term.energy->site.kind != HG_SITE_WINDOW) return;
+    for (int64_t V = 1; V <= 24; V += V < 6 ? 1 : 9) {
+        scene s;
+        scene_make(&s, 2, 2, 19, V, 0.3);
+        result a = evaluate(&s, p->dtype, 1, &v->term, 1, HG_BACKEND_INTERPRETER, false, v->label, NULL);
+        result b = evaluate(&s, p->dtype, 2, &v->term, 1, HG_BACKEND_COMPILED, false, v->label, NULL);
+        const double limit = p->dtype == HG_F64 ? 1e-12 : 2e-5,
+                     gradient = difference(a.gradient, b.gradient, s.B * s.S * V * 3);
+        if (!(gradient < limit && difference(a.energy, b.energy, 1) < limit))
+            fail_msg("%s, V %d: printed %.17g, interpreted %.17g, gradient off by %.3e", v->label, (int)V, b.energy[0],
+                     a.energy[0], gradient);
+        result_free(&a);
+        result_free(&b);
+        scene_free(&s);
+    }
+}
+
+static void test_printed(void **state)
+{
+    (void)state;
+    if (system("${CC:-cc} --version > /dev/null 2>&1") != 0) skip(); /* no compiler here */
+    const char *source = getenv("HG_SOURCE") ? getenv("HG_SOURCE") : ".";
+    char folder[] = "/tmp/hairgrad-XXXXXX", path[64], command[4096];
+    assert_non_null(mkdtemp(folder));
+    for (int dtype = 0; dtype < 2; dtype++) {
+        static printing both[2]; /* what is registered stays */
+        static hg_strand_kernel_entry kernels[2][MAX_ENERGIES];
+        static hg_entry entries[2][MAX_ENERGIES];
+        static char names[2][MAX_ENERGIES][64];
+        printing *p = &both[dtype];
+        p->dtype = dtype ? HG_F64 : HG_F32;
+        const int bytes = (int)hg_dtype_size(p->dtype);
+        hg_text_add(&p->text, "#include \"autograd/trace/strand_vector.h\"\n\n");
+        each_variant(print_variant, p);
+        snprintf(path, sizeof path, "%s/%d.c", folder, dtype);
+        assert_int_equal(hg_file_write(path, p->text.data, p->text.size), HG_OK);
+        snprintf(command, sizeof command,
+                 "${CC:-cc} -std=gnu11 -O1 -march=native -fno-math-errno -ffp-contract=fast -Wno-psabi -fPIC -shared "
+                 "-DHG_BYTES=%d -DHG_LANES=%d -I'%s' %s -o %s/%d.so -lm",
+                 bytes, WIDTH / bytes, source, path, folder, dtype);
+        if (system(command) != 0) fail_msg("the compiler refuses what was printed: %s", path);
+        snprintf(path, sizeof path, "%s/%d.so", folder, dtype);
+        p->library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+        if (!p->library) fail_msg("%s", dlerror());
+        for (int i = 0; i < p->n; i++) {
+            char symbol[32];
+            snprintf(symbol, sizeof symbol, "run_%d", i);
+            hg_strand_kernel *const *run = dlsym(p->library, symbol);
+            assert_non_null(run);
+            kernels[dtype][i] = (hg_strand_kernel_entry){ p->hash[i], WIDTH / bytes, bytes, "plain", *run };
+            snprintf(names[dtype][i], sizeof names[dtype][i], "%s plain %016llx", hg_dtype_name(p->dtype),
+                     (unsigned long long)p->hash[i]);
+            entries[dtype][i] = (hg_entry){ "strand_kernel", names[dtype][i], &kernels[dtype][i], NULL };
+            hg_register(&entries[dtype][i]);
+        }
+        each_variant(check_printed, p);
+        hg_text_free(&p->text);
+    }
+    snprintf(command, sizeof command, "rm -rf %s", folder);
+    assert_int_equal(system(command), 0);
 }
 
 static void test_no_kernel(void **state)
@@ -762,13 +876,18 @@ static void test_refusals(void **state)
 
 int main(void)
 {
-    const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients),  cmocka_unit_test(test_f32),        cmocka_unit_test(test_compiled),
-        cmocka_unit_test(test_levels),     cmocka_unit_test(test_no_kernel),  cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_hoisting),   cmocka_unit_test(test_posed),      cmocka_unit_test(test_invariance),
-        cmocka_unit_test(test_rest),       cmocka_unit_test(test_degenerate), cmocka_unit_test(test_lengths),
-        cmocka_unit_test(test_no_strands), cmocka_unit_test(test_tape),       cmocka_unit_test(test_steady_state),
-        cmocka_unit_test(test_refusals),
-    };
+    const struct CMUnitTest
+        tests
+            [] = {
+                cmocka_unit_test(test_gradients),    cmocka_unit_test(test_f32),
+                cmocka_unit_test(test_compiled),     cmocka_unit_test(test_levels),
+                cmocka_unit_test(test_no_kernel),    cmocka_unit_test(test_threads),
+                cmocka_unit_test(test_hoisting),     cmocka_unit_test(test_posed),
+                cmocka_unit_test(test_invariance),   cmocka_unit_test(test_rest),
+                cmocka_unit_test(test_degenerate),   cmocka_unit_test(test_lengths),
+                cmocka_unit_test(test_no_strands),   cmocka_unit_test(test_tape),
+                cmocka_unit_test(test_steady_state), cmocka_unit_test(test_refusals),
+                cmocka_unit_test(test_printed), /* last: from then on there are kernels for every energy */
+            };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
