@@ -1,5 +1,5 @@
-/* Is a gradient right? f64, fourth-order central differences over a sweep of steps, signed relative error. Every element
- * of small inputs, random directions of large ones. */
+/* Is a gradient right? f64, fourth-order central differences over a sweep of steps, signed relative error. Every
+ * element of small inputs, random directions of large ones. */
 #include "autograd/tape.h"
 
 #include <math.h>

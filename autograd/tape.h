@@ -32,7 +32,7 @@ bool hg_same_shape(const hg_tensor *a, const hg_tensor *b);
 bool hg_floats_agree(const hg_call *call);
 int hg_axis_of(const hg_call *call, const hg_tensor *tensor, int axis); /* 0 .. rank-1, or -1 with the error set */
 
-/* Adds `count` arrays of `size` elements in a fixed tree, in place, and puts or adds (fresh or not) the sum into out. */
+/* Adds `count` arrays of `size` elements in a fixed tree, in place, and puts (fresh) or adds the sum into out. */
 hg_status hg_add_partials(hg_ctx *ctx, hg_dtype dtype, int64_t count, int64_t size, void *partials, void *out,
                           bool fresh);
 /* Overwrites or adds: out = or += from. */

@@ -27,7 +27,8 @@ typedef struct {
 
 /* ---- shapes ---- */
 
-/* Leading axes broadcast; the last axes have to be `a` and `b` long (0: any, but the same), the output's is `out` (0: none). */
+/* Leading axes broadcast; the last axes have to be `a` and `b` long (0: any, but the same), the output's is `out`
+ * (0: none). */
 static hg_tensor *pair_shape(hg_call *call, int64_t a, int64_t b, int64_t out, const char *what)
 {
     const hg_tensor *x = call->in[0], *y = call->in[1];

@@ -1,5 +1,5 @@
 /* The step arena: bump allocation in chunks that are kept from step to step. When a step needed more than one chunk,
- * the next one starts with a single chunk of the most ever in use, so that the steady state takes nothing from the system. */
+ * the next one starts with a single chunk of the most ever in use: the steady state takes nothing from the system. */
 #ifndef HG_TENSOR_ARENA_H
 #define HG_TENSOR_ARENA_H
 

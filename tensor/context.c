@@ -48,7 +48,7 @@ int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
 const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
 void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
 
-/* Each call is kept once. Only as many floors as have state of their own use these: eight is plenty, a ninth is told. */
+/* Each call is kept once. Floors with state of their own use these: eight is plenty, a ninth is told. */
 #define ADD_HOOK(list_, what_)                                                                                         \
     do {                                                                                                               \
         int i = 0;                                                                                                     \

@@ -57,7 +57,8 @@ static hg_tensor *seed_for(hg_ctx *ctx, const hg_tensor *y)
     return seed;
 }
 
-/* One run in a context of its own. With `twice` the op is applied two times to the same inputs and its outputs added. */
+/* One run in a context of its own. With `twice` the op is applied two times to the same inputs, and its outputs are
+ * added. */
 static result run(const hg_op *op, const hg_sample *sample, hg_dtype dtype, int threads, bool twice)
 {
     hg_ctx *ctx;
