@@ -389,6 +389,52 @@ static void test_steady_state(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* A layer as wide as a real one, on so many rows that a chunk is longer than a tile: gradients of x, W and b. */
+static void run_layer(int threads, hg_dtype dtype, int64_t rows, int64_t in, int64_t out, void *gradient[3])
+{
+    hg_ctx *ctx;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads }), HG_OK);
+    hg_tensor *t[3] = { hg_tensor_make(ctx, dtype, 2, (int64_t[]){ rows, in }),
+                        hg_tensor_make(ctx, dtype, 2, (int64_t[]){ in, out }), hg_tensor_make(ctx, dtype, 1, &out) };
+    for (int i = 0; i < 3; i++) {
+        hg_tensor *numbers = hg_tensor_make(ctx, HG_F32, t[i]->rank, t[i]->shape);
+        for (int64_t e = 0; e < hg_tensor_count(numbers); e++)
+            ((float *)numbers->data)[e] = (float)(hg_random_uniform(3, (uint64_t)i, (uint64_t)e) - 0.5);
+        assert_int_equal(hg_tensor_copy(t[i], numbers), HG_OK);
+        assert_int_equal(hg_require_grad(t[i]), HG_OK);
+    }
+    hg_tensor *y = hg_linear(ctx, t[0], t[1], t[2], HG_SILU);
+    assert_int_equal(hg_backward_seeded(ctx, y, y), HG_OK);
+    for (int i = 0; i < 3; i++) {
+        gradient[i] = hg_alloc(hg_tensor_bytes(t[i]), 1);
+        assert_int_equal(hg_tensor_read(hg_grad(t[i]), gradient[i]), HG_OK);
+    }
+    hg_ctx_destroy(ctx);
+}
+
+static void test_same_bits_at_size(void **state)
+{
+    (void)state;
+    const int64_t sizes[][3] = { { 8500, 20, 24 }, { 3000, 66, 256 }, { 1000, 256, 72 } };
+    for (int s = 0; s < 3; s++) {
+        const int64_t rows = sizes[s][0], in = sizes[s][1], out = sizes[s][2], count[3] = { rows * in, in * out, out };
+        void *of[4][3];
+        for (int threads = 1; threads <= 3; threads++) run_layer(threads, HG_F32, rows, in, out, of[threads - 1]);
+        run_layer(2, HG_F64, rows, in, out, of[3]);
+        for (int i = 0; i < 3; i++) {
+            for (int threads = 2; threads <= 3; threads++)
+                assert_memory_equal(of[0][i], of[threads - 1][i], (size_t)count[i] * sizeof(float));
+            double largest = 0, worst = 0;
+            for (int64_t e = 0; e < count[i]; e++) {
+                largest = fmax(largest, fabs(((double *)of[3][i])[e]));
+                worst = fmax(worst, fabs((double)((float *)of[0][i])[e] - ((double *)of[3][i])[e]));
+            }
+            assert_true(largest > 0 && worst <= 2e-6 * largest);
+            for (int r = 0; r < 4; r++) hg_free(of[r][i]);
+        }
+    }
+}
+
 static void test_activation_names(void **state)
 {
     (void)state;
@@ -455,6 +501,7 @@ int main(void)
         cmocka_unit_test(test_record_all_and_dot),
         cmocka_unit_test(test_trap),
         cmocka_unit_test(test_steady_state),
+        cmocka_unit_test(test_same_bits_at_size),
         cmocka_unit_test(test_activation_names),
         cmocka_unit_test(test_f32_functions),
     };
