@@ -7,6 +7,7 @@
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 static const hg_argument program_options[] = {
     { "plugin", "FILE",
@@ -130,8 +131,18 @@ static int run_program(int count, char **words)
     return run_command(words[at], count - at - 1, words + at + 1);
 }
 
+/* By default a thread of libgomp that waits for the others spins. On a machine that other programs use too, that made
+ * training ten times slower, and asleep it loses nothing that shows. libgomp reads its settings before main, so the
+ * program starts itself once more with this one, unless whoever called it has chosen. */
+static void sleep_while_waiting(char **words)
+{
+    if (getenv("OMP_WAIT_POLICY") || getenv("GOMP_SPINCOUNT")) return;
+    if (setenv("OMP_WAIT_POLICY", "passive", 1) == 0) execv("/proc/self/exe", words); /* where it fails, it spins */
+}
+
 int main(int count, char **words)
 {
+    sleep_while_waiting(words);
     signal(SIGXFSZ, SIG_IGN); /* a file over the limit is an error like a full disk, not the end */
     H5dont_atexit(); /* files are closed by whoever opened them; nothing is left for the HDF5 library to tidy */
     int result = run_program(count, words);
