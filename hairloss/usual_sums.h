@@ -33,6 +33,7 @@ static const usual_term usual_sums[][USUAL_TERMS] = {
     { USUAL_STILL("published", "free"), { "inertia", { 0 } } },
     /* dynamic, as the recipes train: the first two vertices pinned, the root edge clamped, or held by its style */
     { USUAL_STILL("published", "free"), USUAL_CONTACT, USUAL_MOVING },
+    { USUAL_STILL("published", "free"), USUAL_CONTACT, { "inertia", { 0 } } },
     { USUAL_STILL("published", "clamped"), USUAL_CONTACT, USUAL_MOVING },
     { USUAL_STILL("published", "clamped"), USUAL_CONTACT, USUAL_MOVING, USUAL_STYLE },
     { USUAL_STILL("smooth", "free"), USUAL_CONTACT, USUAL_MOVING },
