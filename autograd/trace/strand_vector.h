@@ -26,7 +26,12 @@ typedef int32_t hg_integer;
 typedef hg_real hg_v __attribute__((vector_size(HG_LANES * HG_BYTES), may_alias));
 typedef hg_integer hg_m __attribute__((vector_size(HG_LANES * HG_BYTES), may_alias));
 
-#define HG_EACH for (int l = 0; l < HG_LANES; l++)
+#if defined(__clang__)
+#define HG_UNROLL _Pragma("unroll")
+#else
+#define HG_UNROLL _Pragma("GCC unroll 16")
+#endif
+#define HG_EACH HG_UNROLL for (int l = 0; l < HG_LANES; l++)
 
 static inline hg_v hg_v_all(hg_real a) { return a - (hg_v){ 0 }; }
 
@@ -113,6 +118,7 @@ static inline hg_v hg_v_atan2(hg_v a, hg_v b)
 
 /* One step of the transposition of HG_LANES rows: blocks of k columns change places between rows k apart. */
 #define HG_SWAP(k, low, high)                                                                                          \
+    HG_UNROLL                                                                                                          \
     for (int i = 0; i < HG_LANES; i++)                                                                                 \
         if (!(i & k)) {                                                                                                \
             const hg_v a = m[i], b = m[i + k];                                                                         \
