@@ -170,6 +170,7 @@ hg_tensor *hg_quat_mul(hg_ctx *ctx, hg_tensor *a, hg_tensor *b);                
 hg_tensor *hg_quat_conjugate(hg_ctx *ctx, hg_tensor *q);
 hg_tensor *hg_quat_rotate(hg_ctx *ctx, hg_tensor *q, hg_tensor *v);               /* q [...,4] unit, v [...,3], broadcast: q v conj(q) */
 hg_tensor *hg_transport(hg_ctx *ctx, hg_tensor *a, hg_tensor *b);                 /* [...,3] unit -> [...,4]: (a.h, a x h), h = (a+b)/sqrt(max(|a+b|^2, 1e-4)) */
+hg_tensor *hg_clip_gradient(hg_ctx *ctx, hg_tensor *x, double limit);             /* x; backward, rows of the last axis are shortened to `limit` */
 /* d_v = sum_{i<v} l_i ((t_i + a_i) / |t_i + a_i| - t_i): displacements of strands whose edges turn and keep their length. a
  * [B,S,E,3] or [S,E,3] for the last E edges, rest [S,V,3] -> [B,S,V-1,3] or [S,V-1,3]. Gradient to a only. */
 hg_tensor *hg_turn_edges(hg_ctx *ctx, hg_tensor *a, hg_tensor *rest);

@@ -124,6 +124,7 @@ struct hg_hair_task {
     hg_hair_terms terms;
     char *term_name[HG_HAIR_TERMS][3]; /* weighted, in joule, of a validation: for the log */
     double reference;                  /* m g L of the mean strand [J] */
+    double clip_vertex;                /* largest force on a vertex that is learnt from [N]; 0: none */
 
     hg_hair_subset subset, evaluation;
     int64_t subset_epoch;
@@ -143,8 +144,8 @@ void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
 void hg_hair_subset_destroy(hg_hair_subset *subset);
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
-double hg_hair_reference_energy(const hg_groom *groom);
-hg_status hg_hair_evaluation_subset(hg_hair_task *task); /* made at the first call */
+double hg_hair_reference_energy(const hg_groom *groom, double *vertex_weight); /* J; N */
+hg_status hg_hair_evaluation_subset(hg_hair_task *task);                       /* made at the first call */
 
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
 hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int64_t frames, int64_t strands);

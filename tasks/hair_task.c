@@ -147,6 +147,7 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
                              .previous = previous,
                              .body_vertices = body,
                              .dt = 1 / task->rate };
+    if (task->clip_vertex > 0) x = hg_clip_gradient(ctx, x, task->clip_vertex / ((double)(B * S) * task->reference));
     hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, unweighted);
     int gravity;
     const double scale = 1 / ((double)(B * S) * task->reference), at_root = root_gravity(task, batch, subset, &gravity);
@@ -349,7 +350,8 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(hg_hair_world_create(task, progress));
     HG_TRY(hg_hair_strands_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
-    task->reference = hg_hair_reference_energy(task->groom);
+    task->reference = hg_hair_reference_energy(task->groom, &task->clip_vertex);
+    task->clip_vertex *= hg_config_number(task->config, "training.clip_vertex");
     HG_TRY(make_model(task));
     hg_progress_report(progress, 0, "physics");
     HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));

@@ -73,6 +73,8 @@ static const hg_config_row rows[] = {
     { "training.final_fraction", HG_NUMBER, "0.05", "1", NULL, 0, 1, "of the learning rate at the end of the cosine" },
     { "training.warm_up", HG_INTEGER, "100", NULL, NULL, 0, 1000000, "steps in which the learning rate rises" },
     { "training.clip", HG_NUMBER, "1", "1", NULL, 0, 1e9, "largest gradient norm; 0: no limit" },
+    { "training.clip_vertex", HG_NUMBER, "0", "1", NULL, 0, 1e9,
+      "largest force on a vertex that is learnt from, in weights of the mean vertex; 0: no limit" },
     { "training.beta1", HG_NUMBER, "0.9", "1", NULL, 0, 1, "of Adam" },
     { "training.beta2", HG_NUMBER, "0.999", "1", NULL, 0, 1, "of Adam" },
     { "training.epsilon", HG_NUMBER, "1e-8", "1", NULL, 0, 1, "of Adam" },

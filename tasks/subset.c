@@ -230,8 +230,8 @@ hg_status hg_hair_evaluation_subset(hg_hair_task *task)
     return hg_hair_subset_create(&task->evaluation, task, HG_HAIR_EVALUATION, 0);
 }
 
-/* m g L of the mean strand of the groom: the unit of the loss. */
-double hg_hair_reference_energy(const hg_groom *groom)
+/* m g L of the mean strand of the groom: the unit of the loss; and m g of its mean vertex. */
+double hg_hair_reference_energy(const hg_groom *groom, double *vertex_weight)
 {
     double length = 0;
     for (int64_t s = 0; s < groom->strands; s++) {
@@ -241,5 +241,6 @@ double hg_hair_reference_energy(const hg_groom *groom)
                            pow((double)x[5] - (double)x[2], 2));
     }
     length /= (double)groom->strands;
+    *vertex_weight = fmax(linear_density * length * 9.81 / (double)groom->vertices, 1e-15);
     return fmax(linear_density * length * 9.81 * length, 1e-12);
 }
