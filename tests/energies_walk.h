@@ -1,0 +1,125 @@
+/* Walking over every energy in the registry with every combination of its options, and running a physics on the scene. */
+#ifndef ENERGIES_WALK_H
+#define ENERGIES_WALK_H
+
+#include "energies_scene.h"
+
+#include "hairloss/physics.h"
+#include "hairloss/usual_sums.h"
+
+#include <setjmp.h>
+#include <stdarg.h>
+#include <cmocka.h>
+
+enum { MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
+
+typedef struct {
+    hg_term term;
+    const char *options[HG_ENERGY_OPTIONS];
+    char label[160];
+} variant;
+
+/* Calls what for every energy and every combination of its options. */
+static inline void each_variant(void (*what)(const variant *v, void *self), void *self)
+{
+    const char *names[MAX_ENERGIES];
+    const int n = hg_list("energy", names, MAX_ENERGIES);
+    assert_true(n >= 7 && n <= MAX_ENERGIES);
+    for (int i = 0; i < n; i++) {
+        const hg_energy *energy = hg_energy_find(names[i]);
+        assert_non_null(energy);
+        int combinations = 1, radix[HG_ENERGY_OPTIONS] = { 0 };
+        for (int k = 0; k < HG_ENERGY_OPTIONS && energy->options[k].name; k++) {
+            radix[k] = 1;
+            for (const char *c = energy->options[k].choices; *c; c++) radix[k] += *c == '|';
+            combinations *= radix[k];
+        }
+        for (int code = 0; code < combinations; code++) {
+            variant v = { .term = { energy, 1.7, NULL, NULL } };
+            char choices[HG_ENERGY_OPTIONS][32];
+            int rest = code, length = snprintf(v.label, sizeof v.label, "%s", names[i]);
+            for (int k = 0; k < HG_ENERGY_OPTIONS && radix[k]; k++) {
+                const char *at = energy->options[k].choices;
+                for (int c = rest % radix[k]; c > 0; c--) at = strchr(at, '|') + 1;
+                rest /= radix[k];
+                snprintf(choices[k], sizeof choices[k], "%.*s", (int)strcspn(at, "|"), at);
+                v.options[k] = choices[k];
+                length += snprintf(v.label + length, sizeof v.label - (size_t)length, " %s=%s", energy->options[k].name,
+                                   choices[k]);
+            }
+            v.term.options = v.options;
+            what(&v, self);
+        }
+    }
+}
+
+static inline hg_ctx *make_context(int threads)
+{
+    hg_ctx *ctx;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
+    return ctx;
+}
+
+static inline void ok(hg_status status, const char *label)
+{
+    if (status != HG_OK) fail_msg("%s: %s", label, hg_message());
+}
+
+static inline double value(const hg_tensor *tensor, int64_t i) { return hg_tensor_item(tensor, i); }
+
+typedef struct {
+    double *energy, *gradient, *per_strand; /* [n], [B,S,V,3], [B,S,n] */
+} result;
+
+static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const hg_term *terms, int n,
+                              hg_backend backend, bool give_posed, const char *label, bool *available)
+{
+    hg_ctx *ctx = make_context(threads);
+    hg_physics *physics;
+    result r = { numbers(n), numbers(s->B * s->S * s->V * 3), numbers(s->B * s->S * n) };
+    ok(hg_physics_create(&physics, ctx, dtype, terms, n, &s->data), label);
+    const hg_status status = hg_physics_backend(physics, backend);
+    if (available)
+        *available = status == HG_OK;
+    else
+        ok(status, label);
+    if (status == HG_OK) {
+        hg_frame frame = scene_frame(s, ctx, dtype);
+        if (give_posed) frame.posed = upload(ctx, dtype, 4, (int64_t[]){ s->B, s->S, s->V, 3 }, s->posed);
+        hg_tensor *x = scene_x(s, ctx, dtype), *gradient = scene_x(s, ctx, dtype);
+        ok(hg_physics_evaluate(physics, ctx, &frame, x, r.energy, r.per_strand, gradient), label);
+        for (int64_t i = 0; i < hg_tensor_count(gradient); i++) r.gradient[i] = value(gradient, i);
+    }
+    hg_physics_destroy(physics);
+    hg_ctx_destroy(ctx);
+    return r;
+}
+
+static inline void result_free(result *r)
+{
+    hg_free(r->energy);
+    hg_free(r->gradient);
+    hg_free(r->per_strand);
+}
+
+static inline double difference(const double *a, const double *b, int64_t n)
+{
+    double worst = 0, largest = 0;
+    for (int64_t i = 0; i < n; i++) {
+        if (!isfinite(a[i]) || !isfinite(b[i])) return INFINITY;
+        worst = fmax(worst, fabs(a[i] - b[i]));
+        largest = fmax(largest, fmax(fabs(a[i]), fabs(b[i])));
+    }
+    return largest > 0 ? worst / largest : worst;
+}
+
+static inline int usual_terms(int number, hg_term terms[USUAL_TERMS])
+{
+    int n = 0;
+    for (; n < USUAL_TERMS && usual_sums[number][n].energy; n++)
+        terms[n] = (hg_term){ hg_energy_find(usual_sums[number][n].energy), 0.5 + 0.25 * n, NULL,
+                              usual_sums[number][n].options };
+    return n;
+}
+
+#endif
