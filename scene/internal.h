@@ -52,6 +52,8 @@ static inline void scene_put(float to[3], hg_vec3d p) { hg_vec3f_store(to, hg_ve
 
 double scene_length(const float *points, int64_t vertices); /* of a strand, along it */
 
+hg_status scene_motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate);
+
 char **scene_texts_copy(char *const *texts, int64_t n);
 
 #endif

@@ -5,7 +5,7 @@
 
 #define MOTION_FORMAT "hairgrad motion"
 
-static hg_status motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate)
+hg_status scene_motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate)
 {
     *motion = NULL;
     if (frames < 1 || frames > INT32_MAX || joints < 1 || !(rate > 0 && isfinite(rate)))
@@ -28,7 +28,7 @@ static hg_status motion_allocate(hg_motion **motion, int64_t frames, int64_t joi
 
 hg_status hg_motion_create(hg_motion **motion, int64_t frames, const hg_body *body, double rate)
 {
-    return motion_allocate(motion, frames, body->joints, body->joint_name, rate);
+    return scene_motion_allocate(motion, frames, body->joints, body->joint_name, rate);
 }
 
 void hg_motion_destroy(hg_motion *motion)
@@ -184,7 +184,7 @@ hg_status hg_motion_resample(hg_motion **out, const hg_motion *motion, double ra
     double step = motion->rate / rate;
     int64_t frames = (int64_t)floor((double)(motion->frames - 1) / step + 1e-6) + 1, joints = motion->joints;
     hg_motion *m;
-    HG_TRY(motion_allocate(&m, frames, joints, motion->joint_name, rate));
+    HG_TRY(scene_motion_allocate(&m, frames, joints, motion->joint_name, rate));
     m->name = motion->name ? hg_strdup(motion->name) : NULL;
     if (motion->name && !m->name) {
         hg_motion_destroy(m);

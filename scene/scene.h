@@ -96,6 +96,8 @@ void      hg_motion_destroy(hg_motion *motion);
 hg_status hg_motion_load(hg_motion **motion, const char *path, const hg_body *body); /* joints must be the body's; NULL: not checked */
 hg_status hg_motion_save(const hg_motion *motion, const char *path);
 hg_status hg_motion_resample(hg_motion **out, const hg_motion *motion, double rate); /* slerp, the short way */
+hg_status hg_motion_mirror(hg_motion **out, const hg_motion *motion);               /* left to right; Left.. and Right.. (L.. and R..) change places */
+hg_status hg_motion_combine(hg_motion **out, const hg_motion *motion, const hg_motion *above); /* local rotations motion * above, ways added; frames of `motion` */
 
 /* ---- posing ------------------------------------------------------------------------------------------------- */
 

@@ -1,12 +1,14 @@
 /* features: what the network is told of a frame, and how every input is brought to order one.
  *
  *   [root UV 2 | z_rest | z_lock]  of the strand
- *   [shape 10 | pose: 6 per joint | 30 x (head velocity 3, angular velocity 3 per joint)]  of the frame
+ *   [shape 10 | pose: 6 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint)]  of the frame
  *
  * Pose: the first two columns of a joint's rotation; local to its parent, but the head's is global with its heading
- * removed: it carries the direction of gravity. Velocities of frame f lie between f - 1 and f: the head's linear one in
- * head space in units of 1 m/s, angular ones in the joint's own space in units of 3 rad/s (the head's and the root
- * joint's global, others against their parent). Newest frame first; before the clip everything is at rest.
+ * removed: it carries the direction of gravity. Velocities of frame f lie between f - 1 and f: angular ones in the joint's
+ * own space in units of 3 rad/s (the head's and the root joint's global, others against their parent); the head's linear
+ * one in head space in units of 1 m/s, or (`linear: acceleration`) its change since the frame before, in 10 m/s^2: inertia
+ * does not know velocities, so a network that is told of them has to learn not to look. Newest frame first; before the
+ * clip everything is at rest.
  * Joints are placed on the neutral body, whatever the shape: velocities then depend on the clip alone.
  *
  * Normalisation is fixed at creation: mean and deviation over the training clips (and over all strands), pooled over
@@ -18,7 +20,7 @@
 #include <math.h>
 #include <string.h>
 
-static const double linear_unit = 1.0, angular_unit = 3.0; /* m/s, rad/s */
+static const double linear_unit = 1.0, acceleration_unit = 10.0, angular_unit = 3.0; /* m/s, m/s^2, rad/s */
 static const double least_pose = 0.1, least_velocity = 0.2, least_latent = 1e-3;
 
 /* ---- layout ------------------------------------------------------------------------------------------------- */
@@ -47,6 +49,7 @@ hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config,
     layout->history = (int)hg_config_integer(config, "features.history");
     layout->head = hg_body_joint(body, "Head");
     if (layout->head < 0) return hg_fail(HG_INVALID, "the body has no joint \"Head\", which carries the hair");
+    layout->acceleration = !strcmp(hg_config_text(config, "features.linear"), "acceleration");
     HG_TRY(find_joints(config, "features.pose_joints", body, layout->pose, &layout->n_pose));
     HG_TRY(find_joints(config, "features.velocity_joints", body, layout->velocity, &layout->n_velocity));
     layout->pose_inputs = 6 * layout->n_pose;
@@ -121,15 +124,15 @@ static hg_quatd joint_rotation(const hg_hair_layout *layout, const hg_motion *mo
     return joint == layout->head ? hg_quatd_load(rotation + 4 * joint) : local_rotation(motion, frame, joint);
 }
 
+/* moved: of the head from frame to frame [m]; moved_before: the same a frame earlier. */
 static void track_velocity(const hg_hair_layout *layout, const hg_motion *motion, int64_t frame, const double *before,
-                           const double *before_place, const double *now, const double *now_place, float *out)
+                           const double *now, hg_vec3d moved, hg_vec3d moved_before, float *out)
 {
-    const int head = layout->head;
-    const hg_vec3d moved = hg_vec3d_sub(hg_vec3d_load(now_place + 3 * head), hg_vec3d_load(before_place + 3 * head));
-    const hg_vec3d seen = hg_quatd_rotate(hg_quatd_conj(hg_quatd_load(now + 4 * head)), moved);
-    out[0] = (float)(seen.x * motion->rate / linear_unit);
-    out[1] = (float)(seen.y * motion->rate / linear_unit);
-    out[2] = (float)(seen.z * motion->rate / linear_unit);
+    if (layout->acceleration) moved = hg_vec3d_sub(moved, moved_before);
+    const double unit =
+        layout->acceleration ? motion->rate * motion->rate / acceleration_unit : motion->rate / linear_unit;
+    const hg_vec3d seen = hg_quatd_rotate(hg_quatd_conj(hg_quatd_load(now + 4 * layout->head)), moved);
+    out[0] = (float)(seen.x * unit), out[1] = (float)(seen.y * unit), out[2] = (float)(seen.z * unit);
     for (int i = 0; i < layout->n_velocity; i++) {
         const int joint = layout->velocity[i];
         angular_velocity(joint_rotation(layout, motion, before, frame - 1, joint),
@@ -155,6 +158,7 @@ hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layou
     }
     double *rotation[2] = { scratch, scratch + 4 * joints },
            *place[2] = { scratch + 8 * joints, scratch + 11 * joints };
+    hg_vec3d moved = hg_vec3d_make(0, 0, 0);
     for (int64_t t = 0; t < motion->frames; t++) {
         const int now = (int)(t & 1);
         hg_hair_joints(body, motion, t, rotation[now], place[now]);
@@ -164,9 +168,12 @@ hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layou
             if (joint == layout->head) q = without_heading(q);
             two_columns(q, track->pose + t * layout->pose_inputs + 6 * i);
         }
-        if (t > 0)
-            track_velocity(layout, motion, t, rotation[!now], place[!now], rotation[now], place[now],
-                           track->velocity + t * layout->velocity_inputs);
+        if (t == 0) continue;
+        const hg_vec3d moved_before = moved;
+        moved =
+            hg_vec3d_sub(hg_vec3d_load(place[now] + 3 * layout->head), hg_vec3d_load(place[!now] + 3 * layout->head));
+        track_velocity(layout, motion, t, rotation[!now], rotation[now], moved, moved_before,
+                       track->velocity + t * layout->velocity_inputs);
     }
     hg_free(scratch);
     return HG_OK;
@@ -316,11 +323,12 @@ static hg_status frame_feature_rows(hg_hair_task *task)
         clip_moments(task, false, i, least_velocity, mean + i, deviation + i);
     for (int lag = 0; lag < layout->history; lag++)
         for (int i = 0; i < layout->velocity_inputs; i++)
-            HG_TRY(add_feature(task,
-                               i < 3 ? hg_format("velocity[%d].Head.%c", lag, axis[i])
-                                     : hg_format("angular_velocity[%d].%s.%c", lag,
-                                                 body->joint_name[layout->velocity[i / 3 - 1]], axis[i % 3]),
-                               mean[i], deviation[i]));
+            HG_TRY(add_feature(
+                task,
+                i < 3 ? hg_format("%s[%d].Head.%c", layout->acceleration ? "acceleration" : "velocity", lag, axis[i])
+                      : hg_format("angular_velocity[%d].%s.%c", lag, body->joint_name[layout->velocity[i / 3 - 1]],
+                                  axis[i % 3]),
+                mean[i], deviation[i]));
     return HG_OK;
 }
 

@@ -30,7 +30,7 @@ hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
 
 enum { HG_HAIR_JOINTS = 16 };
 typedef struct {
-    bool shape;
+    bool shape, acceleration;                           /* inputs: the shape; the head's linear motion as acceleration */
     int history, n_pose, n_velocity;
     int pose[HG_HAIR_JOINTS], velocity[HG_HAIR_JOINTS]; /* joints of the body */
     int head;

@@ -88,6 +88,33 @@ static hg_status add_clip(hg_hair_task *task, bool held_out, hg_motion *motion)
     return hg_hair_track_create(&clip->track, &task->layout, task->body, clip->motion);
 }
 
+/* A training clip again: mirrored, and with made movements of the head on top. The body may touch the hair in ways that
+ * a few recordings do not show. */
+static hg_status vary_clip(hg_hair_task *task, int file)
+{
+    const hg_config *config = task->config;
+    const hg_motion *motion = task->clips[0][task->n_clips[0] - 1].motion, *mirrored = NULL;
+    hg_motion *more = NULL;
+    if (hg_config_flag(config, "scene.mirror")) {
+        HG_TRY(hg_motion_mirror(&more, motion));
+        HG_TRY(add_clip(task, false, more));
+        mirrored = task->clips[0][task->n_clips[0] - 1].motion;
+    }
+    for (int64_t k = 0; k < hg_config_integer(config, "scene.varied"); k++) {
+        static const char *const kinds[] = { "mixed", "turn", "nod", "shake" };
+        const uint64_t seed =
+            (uint64_t)hg_config_integer(config, "scene.seed") * 1000003 + (uint64_t)file * 1009 + (uint64_t)k;
+        hg_motion *above = NULL;
+        HG_TRY(hg_motion_make(&above, task->body, kinds[k % 4], (double)(motion->frames - 1) / motion->rate,
+                              motion->rate, seed));
+        const hg_status status = hg_motion_combine(&more, k % 2 && mirrored ? mirrored : motion, above);
+        hg_motion_destroy(above);
+        HG_TRY(status);
+        HG_TRY(add_clip(task, false, more));
+    }
+    return HG_OK;
+}
+
 static hg_status load_clips(hg_hair_task *task, bool held_out)
 {
     const hg_config *config = task->config;
@@ -97,7 +124,8 @@ static hg_status load_clips(hg_hair_task *task, bool held_out)
     /* Files of one list and made motions of the other would be compared with each other: files rule both. */
     const bool made = hg_config_count(config, "scene.motions") == 0 && hg_config_count(config, "scene.held_out") == 0;
     const int n = made ? hg_config_count(config, kinds) : n_files;
-    task->clips[held_out] = hg_alloc((size_t)(n ? n : 1), sizeof(hg_hair_clip_data));
+    const int64_t copies = 2 + hg_config_integer(config, "scene.varied");
+    task->clips[held_out] = hg_alloc((size_t)((n ? n : 1) * copies), sizeof(hg_hair_clip_data));
     if (!task->clips[held_out]) return HG_MEMORY;
     for (int i = 0; i < n; i++) {
         hg_motion *motion = NULL;
@@ -115,6 +143,7 @@ static hg_status load_clips(hg_hair_task *task, bool held_out)
             HG_TRY(in_config(config, files, status));
         }
         HG_TRY(in_config(config, made ? kinds : files, add_clip(task, held_out, motion)));
+        if (!made && !held_out) HG_TRY(in_config(config, files, vary_clip(task, i)));
     }
     return HG_OK;
 }
