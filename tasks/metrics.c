@@ -264,7 +264,8 @@ static double correlation(const evaluation *e, int lag)
 {
     const int64_t row = e->tips * 3;
     double both = 0, net = 0, posed = 0;
-    for (int64_t t = 1 + lag; t < e->frames; t++)
+    const int64_t first = lag > 0 ? 1 + lag : 1, last = lag < 0 ? e->frames + lag : e->frames;
+    for (int64_t t = first; t < last; t++)
         for (int64_t i = 0; i < row; i++) {
             const double a = (double)e->net.tips[t * row + i], b = (double)e->posed.tips[(t - lag) * row + i];
             both += a * b;
@@ -283,18 +284,18 @@ static double tip_lag(const evaluation *e)
     const double count = (double)((e->frames - 1) * e->tips);
     if (e->frames < 8 || !(sqrt(squares / count) * e->task->rate > still)) return (double)NAN;
     const int lags = e->frames / 3 < LAGS ? (int)(e->frames / 3) : LAGS;
-    double value[LAGS + 1];
-    int best = 0;
-    for (int lag = 0; lag <= lags; lag++) {
-        value[lag] = correlation(e, lag);
-        if (value[lag] > value[best]) best = lag;
+    double value[LAGS + 2]; /* of lags -1 .. : a peak at 0 has two sides too, and lags are often less than a frame */
+    int best = 1;
+    for (int i = 0; i <= lags + 1; i++) {
+        value[i] = correlation(e, i - 1);
+        if (value[i] > value[best]) best = i;
     }
     double offset = 0;
-    if (best > 0 && best < lags) {
+    if (best > 0 && best <= lags) {
         const double bend = value[best - 1] - 2 * value[best] + value[best + 1];
         if (bend < 0) offset = 0.5 * (value[best - 1] - value[best + 1]) / bend;
     }
-    return (best + offset) / e->task->rate;
+    return (best - 1 + offset) / e->task->rate;
 }
 
 static void summarise(const evaluation *e, hg_hair_metrics *metrics)
