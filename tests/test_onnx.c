@@ -125,7 +125,7 @@ static hg_tensor *normalisations(void *self, hg_ctx *ctx, hg_tensor *x)
 static hg_tensor *vectors(void *self, hg_ctx *ctx, hg_tensor *x)
 {
     (void)self;
-    hg_tensor *q = hg_normalize(ctx, hg_reshape(ctx, x, SHAPE(-1, 3, 4)));
+    hg_tensor *q = hg_normalize(ctx, hg_clip_gradient(ctx, hg_reshape(ctx, x, SHAPE(-1, 3, 4)), 1e-3));
     return hg_mul(ctx, hg_dot(ctx, q, hg_quat_conjugate(ctx, q)), hg_norm(ctx, hg_add(ctx, q, hg_square(ctx, q))));
 }
 
