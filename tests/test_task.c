@@ -424,6 +424,26 @@ static void concatenated_is_the_same_network(void **state)
     concatenated_is_the_drape("directions", "2");
 }
 
+/* Rows that pull harder than the limit are shortened to it, the others are left alone. */
+static void forces_are_bounded(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = NULL;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 1 }), HG_OK);
+    hg_tensor *x = hg_tensor_create(ctx, HG_F64, 2, (int64_t[]){ 3, 3 });
+    const double pull[9] = { 3, 0, 4, 0.1, 0.2, 0.2, 0, 0, 0 };
+    assert_int_equal(hg_require_grad(x), HG_OK);
+    hg_tensor *c = hg_tensor_wrap(ctx, HG_F64, 2, (int64_t[]){ 3, 3 }, (void *)(uintptr_t)pull);
+    hg_tensor *loss = hg_sum(ctx, hg_mul(ctx, hg_clip_gradient(ctx, x, 0.5), c));
+    assert_int_equal(hg_backward(ctx, loss), HG_OK);
+    const double expected[9] = { 0.3, 0, 0.4, 0.1, 0.2, 0.2, 0, 0, 0 };
+    for (int i = 0; i < 9; i++) assert_true(fabs(hg_tensor_item(hg_grad(x), i) - expected[i]) < 1e-12);
+    assert_null(hg_clip_gradient(ctx, x, 0));
+    assert_int_equal(hg_ctx_status(ctx), HG_INVALID);
+    hg_tensor_destroy(x);
+    hg_ctx_destroy(ctx);
+}
+
 /* ---- configs ------------------------------------------------------------------------------------------------ */
 
 static void refused(const char *text, const char *expected)
@@ -501,6 +521,7 @@ int main(void)
         cmocka_unit_test(same_bits_with_resampling),
         cmocka_unit_test(no_growth),
         cmocka_unit_test(concatenated_is_the_same_network),
+        cmocka_unit_test(forces_are_bounded),
         cmocka_unit_test(bad_configs),
         cmocka_unit_test(schema_follows_the_registry),
     };
