@@ -136,9 +136,9 @@ static void features_are_finite_and_of_order_one(void **state)
     assert_string_equal(feature[8].name, "z_lock[0]");
     assert_string_equal(feature[14].name, "shape[0]");
     assert_string_equal(feature[24].name, "pose.Head.xx");
-    assert_string_equal(feature[24 + 42].name, "velocity[0].Head.x");
+    assert_string_equal(feature[24 + 42].name, "acceleration[0].Head.x");
     assert_string_equal(feature[24 + 42 + 3].name, "angular_velocity[0].Head.x");
-    assert_string_equal(feature[24 + 42 + 21].name, "velocity[1].Head.x");
+    assert_string_equal(feature[24 + 42 + 21].name, "acceleration[1].Head.x");
 
     const int64_t strands = hg_hair_groom(s.task)->strands;
     float *strand = malloc((size_t)(strands * strand_inputs) * sizeof *strand), frame[256];
