@@ -71,8 +71,9 @@ static bool is_called(const hg_motion *motion, const char *name)
 {
     if (!motion->name) return false;
     const char *last = last_part(motion->name);
-    const char *dot = strrchr(last, '.');
+    const char *dot = strrchr(last, '.'), *space = strchr(last, ' '); /* made clips are called "shake 1500" */
     return !strcmp(motion->name, name) || !strcmp(last, name) ||
+           (space && strlen(name) == (size_t)(space - last) && !strncmp(last, name, strlen(name))) ||
            (dot && strlen(name) == (size_t)(dot - last) && !strncmp(last, name, strlen(name)));
 }
 

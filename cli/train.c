@@ -79,9 +79,9 @@ static int train(const hg_arguments *arguments)
     const hg_status status = train_run(ctx, arguments, folder, &result);
     hg_ctx_destroy(ctx);
     if (status != HG_OK) return cli_fail();
-    printf("%s %lld steps in %.0f s (%.1f steps/s), loss %.4g", result.interrupted ? "stopped after" : "trained",
-           (long long)result.steps, result.seconds, result.seconds > 0 ? (double)result.steps / result.seconds : 0.0,
-           result.loss);
+    printf("%s %lld steps in %.0f s", result.interrupted ? "stopped after" : "trained", (long long)result.steps,
+           result.seconds);
+    if (isfinite(result.loss)) printf(", loss %.4g", result.loss);
     if (isfinite(result.best_validation)) printf(", best validation %.4g", result.best_validation);
     printf("\n%s%s\n", result.interrupted ? "go on with --resume: " : "", folder);
     return 0;

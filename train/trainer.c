@@ -172,6 +172,7 @@ static bool every(int64_t step, int64_t period) { return period > 0 && step % pe
 static hg_status loop(run *r, bool *interrupted)
 {
     const hg_train_options *options = r->options;
+    r->loss = (double)NAN; /* until a step is made: a finished run may be resumed */
     r->started = r->logged = seconds_now();
     r->first_step = r->logged_step = r->state.step;
     *interrupted = false;
