@@ -12,8 +12,8 @@ for line in open(sys.argv[1], encoding="utf-8", errors="replace"):
     record = json.loads(line)
     text = re.sub(r"\x1b\[[0-9;]*m", "", record.get("stdout", "") + "\n" + record.get("stderr", ""))
     ok = len(re.findall(r"^\[       OK \]|^ok ", text, re.M))
-    names = set(re.findall(r"^\[  FAILED  \] (?!\d+ test)(\S+)|^not ok (.+)", text, re.M))
-    left_out = set(re.findall(r"^\[  SKIPPED \] (?!\d+ test)(\S+)|^skip (.+)", text, re.M))
+    names = set(re.findall(r"^\[  FAILED  \] (?!.*test\(s\))(\S+)|^not ok (.+)", text, re.M))
+    left_out = set(re.findall(r"^\[  SKIPPED \] (?!.*test\(s\))(\S+)|^skip (.+)", text, re.M))
     result = record["result"]
     if result in ("OK", "EXPECTEDFAIL"):
         ok = ok or (0 if left_out else 1)
