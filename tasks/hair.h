@@ -30,7 +30,7 @@ hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
 
 enum { HG_HAIR_JOINTS = 16 };
 typedef struct {
-    bool shape, acceleration;                           /* inputs: the shape; the head's linear motion as acceleration */
+    bool shape, acceleration; /* inputs: the shape; the head's linear motion as acceleration */
     int history, n_pose, n_velocity;
     int pose[HG_HAIR_JOINTS], velocity[HG_HAIR_JOINTS]; /* joints of the body */
     int head;
@@ -144,8 +144,8 @@ void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
 void hg_hair_subset_destroy(hg_hair_subset *subset);
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
-double hg_hair_reference_energy(const hg_groom *groom, double *vertex_weight); /* J; N */
-hg_status hg_hair_evaluation_subset(hg_hair_task *task);                       /* made at the first call */
+double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight); /* J; N */
+hg_status hg_hair_evaluation_subset(hg_hair_task *task);                          /* made at the first call */
 
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
 hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int64_t frames, int64_t strands);

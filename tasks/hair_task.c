@@ -350,7 +350,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(hg_hair_world_create(task, progress));
     HG_TRY(hg_hair_strands_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
-    task->reference = hg_hair_reference_energy(task->groom, &task->clip_vertex);
+    task->reference = hg_hair_reference_energy(task, &task->clip_vertex);
     task->clip_vertex *= hg_config_number(task->config, "training.clip_vertex");
     HG_TRY(make_model(task));
     hg_progress_report(progress, 0, "physics");

@@ -15,6 +15,8 @@ static const hg_config_row rows[] = {
     { "scene.groom", HG_TEXT, "", NULL, NULL, 0, 0, "groom file (.h5); empty: grown on the body" },
     { "scene.motions", HG_TEXTS, "", NULL, NULL, 0, 0, "motion files (.h5) to train on; empty: procedural ones" },
     { "scene.held_out", HG_TEXTS, "", NULL, NULL, 0, 0, "motion files kept for validation and evaluation" },
+    { "scene.linear_density", HG_NUMBER, "6.5e-6 kg/m", "kg/m", NULL, 1e-12, 1,
+      "of a hair: 65 micrograms per centimetre" },
     { "scene.mirror", HG_FLAG, "false", NULL, NULL, 0, 0, "train on every motion file mirrored left to right too" },
     { "scene.varied", HG_INTEGER, "0", NULL, NULL, 0, 100,
       "times that every motion file is trained on with a made movement of the head on top of it, another each time" },

@@ -119,10 +119,13 @@ static hg_status draw(hg_hair_subset *subset, const hg_hair_task *task, hg_hair_
 
 /* ---- physics ------------------------------------------------------------------------------------------------ */
 
-/* mass of a vertex: linear density x half of its adjacent rest edges (a real hair: 65 ug/cm). */
-static const double linear_density = 6.5e-6; /* kg/m */
+/* mass of a vertex: linear density x half of its adjacent rest edges. */
+static double linear_density(const hg_hair_task *task)
+{
+    return hg_config_number(task->config, "scene.linear_density");
+}
 
-static void measure(const hg_groom *groom, int64_t strand, double *lengths, double *mass)
+static void measure(const hg_groom *groom, int64_t strand, double density, double *lengths, double *mass)
 {
     const int64_t V = groom->vertices;
     const float *x = groom->points + strand * V * 3;
@@ -132,7 +135,7 @@ static void measure(const hg_groom *groom, int64_t strand, double *lengths, doub
         lengths[v] = sqrt(dx * dx + dy * dy + dz * dz);
     }
     for (int64_t v = 0; mass && v < V; v++)
-        mass[v] = linear_density * 0.5 * ((v > 0 ? lengths[v - 1] : 0) + (v + 1 < V ? lengths[v] : 0));
+        mass[v] = density * 0.5 * ((v > 0 ? lengths[v - 1] : 0) + (v + 1 < V ? lengths[v] : 0));
 }
 
 static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
@@ -143,7 +146,7 @@ static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
     hg_status status = rest && mass && body && scalp ? HG_OK : HG_MEMORY;
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
         const int64_t s = subset->strand[i];
-        measure(task->groom, s, subset->lengths + i * (V - 1), mass + i * V);
+        measure(task->groom, s, linear_density(task), subset->lengths + i * (V - 1), mass + i * V);
         for (int64_t v = 0; v < V; v++) subset->mass[i] += mass[i * V + v];
         for (int64_t k = 0; k < 3 * V; k++) rest[i * 3 * V + k] = (double)task->groom->points[s * 3 * V + k];
         for (int64_t v = 0; v < V; v++) {
@@ -231,8 +234,10 @@ hg_status hg_hair_evaluation_subset(hg_hair_task *task)
 }
 
 /* m g L of the mean strand of the groom: the unit of the loss; and m g of its mean vertex. */
-double hg_hair_reference_energy(const hg_groom *groom, double *vertex_weight)
+double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight)
 {
+    const hg_groom *groom = task->groom;
+    const double density = linear_density(task);
     double length = 0;
     for (int64_t s = 0; s < groom->strands; s++) {
         const float *x = groom->points + s * groom->vertices * 3;
@@ -241,6 +246,6 @@ double hg_hair_reference_energy(const hg_groom *groom, double *vertex_weight)
                            pow((double)x[5] - (double)x[2], 2));
     }
     length /= (double)groom->strands;
-    *vertex_weight = fmax(linear_density * length * 9.81 / (double)groom->vertices, 1e-15);
-    return fmax(linear_density * length * 9.81 * length, 1e-12);
+    *vertex_weight = fmax(density * length * 9.81 / (double)groom->vertices, 1e-15);
+    return fmax(density * length * 9.81 * length, 1e-12);
 }

@@ -72,6 +72,8 @@ change 's/\[nod\]/[nodd]/'; refused "unknown motion" 'nodd' "$program" train cha
 change 's/^model: {/model: {kind: neuralock, /'; refused "unknown network" 'neuralock' "$program" train changed.yaml -o run
 printf 'scene: [unclosed\n' >changed.yaml; refused "not YAML" 'changed.yaml:2: not valid YAML' "$program" train changed.yaml -o run
 refused "no recipe" 'missing.yaml: cannot be opened \(No such file or directory\)' "$program" train missing.yaml -o run
+refused "zero mass" 'linear_density=0 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=0 kg/m"
+refused "negative mass" 'linear_density=-1 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=-1 kg/m"
 refused "misspelt override" 'unknown key "training.stpes"; did you mean "steps"\?' "$program" train tiny.yaml -o run --set training.stpes=3
 rm -rf run
 

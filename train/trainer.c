@@ -6,6 +6,7 @@
 #include "train/log.h"
 #include "train/state.h"
 
+#include <glob.h>
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
@@ -195,6 +196,19 @@ static hg_status loop(run *r, bool *interrupted)
     return save(r, r->checkpoint);
 }
 
+/* What a run that was killed while it wrote has left beside a file: it never got the file's name. */
+static hg_status remove_leftovers(const char *path)
+{
+    char *pattern = hg_format("%s.part-*", path);
+    glob_t found = { 0 };
+    if (!pattern) return HG_MEMORY;
+    if (glob(pattern, 0, NULL, &found) == 0)
+        for (size_t i = 0; i < found.gl_pathc; i++) remove(found.gl_pathv[i]);
+    globfree(&found);
+    hg_free(pattern);
+    return HG_OK;
+}
+
 static hg_status prepare(run *r)
 {
     const char *folder = r->options->folder;
@@ -208,6 +222,8 @@ static hg_status prepare(run *r)
     r->best = hg_path_join(folder, "best.h5");
     r->report = hg_path_join(folder, "report.json");
     if (!r->checkpoint || !r->best || !r->report) return HG_MEMORY;
+    HG_TRY(remove_leftovers(r->checkpoint));
+    HG_TRY(remove_leftovers(r->best));
     HG_TRY(resume(r));
     HG_TRY(hg_run_log_open(&r->log, folder, r->state.step));
     if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
