@@ -538,8 +538,7 @@ static hg_status pad_emit(const hg_call *call, hg_emitter *e)
     }
 static const hg_sample slice_samples[] = {
     RANGE("rows", 0, 1, 2, 2, 4, 3), RANGE("columns", -1, 2, 3, 3, 2, 2, 6), RANGE("middle", 1, 1, 1, 3, 2, 3, 4),
-    RANGE("one", 0, 0, 1, 1, 1),     RANGE("nothing", 0, 1, 0, 2, 4, 3),
-    RANGE("of nothing", 1, 0, 2, 2, 0, 3),
+    RANGE("one", 0, 0, 1, 1, 1),     RANGE("nothing", 0, 1, 0, 2, 4, 3),     RANGE("of nothing", 1, 0, 2, 2, 0, 3),
 };
 static const hg_sample pad_samples[] = {
     RANGE("rows", 0, 1, 2, 2, 4, 3), RANGE("columns", -1, 2, 0, 3, 2, 2, 6),  RANGE("middle", 1, 0, 1, 3, 2, 3, 4),

@@ -73,9 +73,11 @@ int main(int n, char **arguments)
         double first = factored ? (double)rows * STRAND * WIDTH + (double)frames * FRAME * WIDTH
                                 : (double)(rows * frames) * (STRAND + FRAME) * WIDTH;
         double flops = 2 * (first + deep), gradient = 2 * (first + 2 * deep);
-        printf("%-12s %lld strands x %lld frames, %d threads: forward %.2f ms (%.0f GFLOP/s), backward %.2f ms (%.0f GFLOP/s), "
-               "together %.2f ms\n", factored ? "factored" : "concatenated", (long long)rows, (long long)frames,
-               hg_ctx_threads(ctx), f, 1e-6 * flops / f, b, 1e-6 * gradient / b, f + b);
+        printf("%-12s %lld strands x %lld frames, %d threads: forward %.2f ms (%.0f GFLOP/s), backward %.2f ms (%.0f "
+               "GFLOP/s), "
+               "together %.2f ms\n",
+               factored ? "factored" : "concatenated", (long long)rows, (long long)frames, hg_ctx_threads(ctx), f,
+               1e-6 * flops / f, b, 1e-6 * gradient / b, f + b);
     }
     printf("step memory: %.1f MB\n", 1e-6 * (double)hg_step_reserved(ctx));
     hg_tensor *owned[] = { all, strand, frame, w0, b0, ws, wf, w1, b1, w2, b2 };

@@ -2,20 +2,58 @@
  * A step is one operation on LANES strands (or gathered values); the loop over the lanes is what the compiler turns into
  * SIMD, so that the price of deciding what to do is shared by all of them. */
 
-#define EACH                                                                                                           \
-    _Pragma("omp simd") for (int l = 0; l < LANES; l++)
+#define EACH _Pragma("omp simd") for (int l = 0; l < LANES; l++)
 
 #define BINARY(op_, expression_)                                                                                       \
-    case 4 * op_: EACH { const REAL a = p[l], b = q[l]; to[l] = expression_; } break;                                  \
-    case 4 * op_ + 1: { const REAL a = p[0]; EACH { const REAL b = q[l]; to[l] = expression_; } } break;               \
-    case 4 * op_ + 2: { const REAL b = q[0]; EACH { const REAL a = p[l]; to[l] = expression_; } } break;
+    case 4 * op_:                                                                                                      \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL a = p[l], b = q[l];                                                                             \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+        break;                                                                                                         \
+    case 4 * op_ + 1: {                                                                                                \
+        const REAL a = p[0];                                                                                           \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL b = q[l];                                                                                       \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+    } break;                                                                                                           \
+    case 4 * op_ + 2: {                                                                                                \
+        const REAL b = q[0];                                                                                           \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL a = p[l];                                                                                       \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+    } break;
 
 #define UNARY(op_, expression_)                                                                                        \
-    case 4 * op_: EACH { const REAL a = p[l]; to[l] = expression_; } break;
+    case 4 * op_:                                                                                                      \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL a = p[l];                                                                                       \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+        break;
 
 #define TERNARY(op_, expression_)                                                                                      \
-    case 4 * op_: EACH { const REAL a = p[l], b = q[l], c = r[l]; to[l] = expression_; } break;                        \
-    case 4 * op_ + 1: { const REAL a = p[0]; EACH { const REAL b = q[l], c = r[l]; to[l] = expression_; } } break;
+    case 4 * op_:                                                                                                      \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL a = p[l], b = q[l], c = r[l];                                                                   \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+        break;                                                                                                         \
+    case 4 * op_ + 1: {                                                                                                \
+        const REAL a = p[0];                                                                                           \
+        EACH                                                                                                           \
+        {                                                                                                              \
+            const REAL b = q[l], c = r[l];                                                                             \
+            to[l] = expression_;                                                                                       \
+        }                                                                                                              \
+    } break;
 
 void NAME(hg_steps_run)(const hg_steps *steps, REAL *const *base)
 {
@@ -25,7 +63,7 @@ void NAME(hg_steps_run)(const hg_steps *steps, REAL *const *base)
         switch (step->op) {
             BINARY(HG_NODE_ADD, a + b)
             BINARY(HG_NODE_SUB, a - b)
-            BINARY(HG_NODE_MUL, a *b)
+            BINARY(HG_NODE_MUL, a * b)
             BINARY(HG_NODE_DIV, a / b)
             BINARY(HG_NODE_MIN, b < a ? b : a)
             BINARY(HG_NODE_MAX, a < b ? b : a)
@@ -34,22 +72,63 @@ void NAME(hg_steps_run)(const hg_steps *steps, REAL *const *base)
             UNARY(HG_NODE_SQRT, MATH(sqrt)(a))
             UNARY(HG_NODE_RSQRT, (REAL)1 / MATH(sqrt)(a))
             UNARY(HG_NODE_ABS, MATH(fabs)(a))
-            TERNARY(HG_DO_MULADD, a *b + c)
-            TERNARY(HG_DO_MULSUB, a *b - c)
+            TERNARY(HG_DO_MULADD, a * b + c)
+            TERNARY(HG_DO_MULSUB, a * b - c)
             TERNARY(HG_DO_SUBMUL, c - a * b)
-        case 4 * HG_NODE_EXP: for (int l = 0; l < LANES; l++) to[l] = MATH(exp)(p[l]); break;
-        case 4 * HG_NODE_LOG: for (int l = 0; l < LANES; l++) to[l] = MATH(log)(p[l]); break;
-        case 4 * HG_NODE_SIN: for (int l = 0; l < LANES; l++) to[l] = MATH(sin)(p[l]); break;
-        case 4 * HG_NODE_COS: for (int l = 0; l < LANES; l++) to[l] = MATH(cos)(p[l]); break;
-        case 4 * HG_NODE_ATAN2: for (int l = 0; l < LANES; l++) to[l] = MATH(atan2)(p[l], q[l]); break;
-        case 4 * HG_NODE_SELECT: EACH { const REAL b = q[l], c = r[l]; to[l] = p[l] != 0 ? b : c; } break;
-        case 4 * HG_NODE_SELECT + 1: { const REAL b = q[0]; EACH { const REAL c = r[l]; to[l] = p[l] != 0 ? b : c; } } break;
-        case 4 * HG_NODE_SELECT + 2: { const REAL c = r[0]; EACH { const REAL b = q[l]; to[l] = p[l] != 0 ? b : c; } } break;
-        case 4 * HG_NODE_SELECT + 3: { const REAL b = q[0], c = r[0]; EACH to[l] = p[l] != 0 ? b : c; } break;
-        case 4 * HG_DO_SET: EACH to[l] = p[l]; break;
-        case 4 * HG_DO_SET + 1: { const REAL a = p[0]; EACH to[l] = a; } break;
-        case 4 * HG_DO_ADD_TO: EACH to[l] += p[l]; break;
-        default: break;
+        case 4 * HG_NODE_EXP:
+            for (int l = 0; l < LANES; l++) to[l] = MATH(exp)(p[l]);
+            break;
+        case 4 * HG_NODE_LOG:
+            for (int l = 0; l < LANES; l++) to[l] = MATH(log)(p[l]);
+            break;
+        case 4 * HG_NODE_SIN:
+            for (int l = 0; l < LANES; l++) to[l] = MATH(sin)(p[l]);
+            break;
+        case 4 * HG_NODE_COS:
+            for (int l = 0; l < LANES; l++) to[l] = MATH(cos)(p[l]);
+            break;
+        case 4 * HG_NODE_ATAN2:
+            for (int l = 0; l < LANES; l++) to[l] = MATH(atan2)(p[l], q[l]);
+            break;
+        case 4 * HG_NODE_SELECT:
+            EACH
+            {
+                const REAL b = q[l], c = r[l];
+                to[l] = p[l] != 0 ? b : c;
+            }
+            break;
+        case 4 * HG_NODE_SELECT + 1: {
+            const REAL b = q[0];
+            EACH
+            {
+                const REAL c = r[l];
+                to[l] = p[l] != 0 ? b : c;
+            }
+        } break;
+        case 4 * HG_NODE_SELECT + 2: {
+            const REAL c = r[0];
+            EACH
+            {
+                const REAL b = q[l];
+                to[l] = p[l] != 0 ? b : c;
+            }
+        } break;
+        case 4 * HG_NODE_SELECT + 3: {
+            const REAL b = q[0], c = r[0];
+            EACH to[l] = p[l] != 0 ? b : c;
+        } break;
+        case 4 * HG_DO_SET:
+            EACH to[l] = p[l];
+            break;
+        case 4 * HG_DO_SET + 1: {
+            const REAL a = p[0];
+            EACH to[l] = a;
+        } break;
+        case 4 * HG_DO_ADD_TO:
+            EACH to[l] += p[l];
+            break;
+        default:
+            break;
         }
     }
 }
@@ -118,8 +197,9 @@ static void NAME(interpret)(const hg_strand_program *p, const hg_strand_args *ar
             tile[k] = scratch;
             scratch += row;
         }
-    REAL *gradient = scratch, *root = gradient + row, *energy = root + 7 * LANES, *adjoint = energy + p->n_terms * LANES,
-         *strand = adjoint + p->n_adjoint * LANES, *slots = strand + p->n_strand * LANES;
+    REAL *gradient = scratch, *root = gradient + row, *energy = root + 7 * LANES,
+         *adjoint = energy + p->n_terms * LANES, *strand = adjoint + p->n_adjoint * LANES,
+         *slots = strand + p->n_strand * LANES;
     for (int k = 0; k < HG_PLACES; k++) base[k] = slots;
     base[HG_PLACE_NUMBER] = (REAL *)p->number_table;
     base[HG_PLACE_UNIFORM] = (REAL *)args->uniform;
