@@ -5,7 +5,7 @@
  *     hg_train(ctx, hg_hair_model(hair), hg_hair_task_of(hair), &options, &progress, &result);
  *     hg_hair_evaluate(hair, ctx, clip, shape, clip->frames, &metrics, &progress);
  *
- * See DESIGN of features in docs/neuralocks.md: order and scaling of every network input.
+ * Order and scaling of every network input: docs/neuralocks.md.
  */
 #ifndef HG_TASKS_H
 #define HG_TASKS_H

@@ -402,6 +402,45 @@ static void test_short_motions_and_other_bodies(void **state)
     FAILS(hg_motion_make(&m, &stiff, "nod", 1, 30, 1), "none of the joints");
 }
 
+/* Mirrored twice is the motion itself; mirrored once, the left arm does what the right one did, seen in a mirror. With a
+ * motion that rests on top nothing changes, with a turn of the head on top the head's local rotation is the product. */
+static void test_mirrored_and_combined(void **state)
+{
+    (void)state;
+    hg_motion *m, *once, *twice, *rest, *sum;
+    OK(hg_motion_make(&m, bust, "mixed", 2, 30, 5));
+    const int64_t J = m->joints, T = m->frames, n = T * J * 4;
+    const int left = hg_body_joint(bust, "LeftArm"), right = hg_body_joint(bust, "RightArm"),
+              head = hg_body_joint(bust, "Head");
+    assert_true(left >= 0 && right >= 0 && head >= 0);
+    float *arm = m->rotation + 4 * (10 * J + right);
+    arm[0] = 0.5f, arm[1] = 0.5f, arm[2] = -0.5f, arm[3] = 0.5f;
+    m->translation[3 * 10] = 0.25f;
+    OK(hg_motion_mirror(&once, m));
+    OK(hg_motion_mirror(&twice, once));
+    const float *seen = once->rotation + 4 * (10 * J + left);
+    assert_true(seen[0] == 0.5f && seen[1] == 0.5f && seen[2] == 0.5f && seen[3] == -0.5f);
+    assert_true(once->translation[3 * 10] == -0.25f);
+    assert_memory_equal(twice->rotation, m->rotation, (size_t)n * sizeof *m->rotation);
+
+    OK(hg_motion_create(&rest, 1, bust, 30)); /* shorter: its last frame stays */
+    OK(hg_motion_combine(&sum, m, rest));
+    for (int64_t i = 0; i < n; i++) assert_true(fabsf(sum->rotation[i] - m->rotation[i]) < 1e-6f);
+    hg_motion_destroy(sum);
+    OK(hg_motion_combine(&sum, m, once));
+    const hg_quatf expected = hg_quatf_mul(hg_quatf_load(m->rotation + 4 * (20 * J + head)),
+                                           hg_quatf_load(once->rotation + 4 * (20 * J + head)));
+    const float *got = sum->rotation + 4 * (20 * J + head);
+    assert_true(fabsf(got[0] - expected.w) < 1e-5f && fabsf(got[1] - expected.x) < 1e-5f);
+    assert_true(fabsf(got[2] - expected.y) < 1e-5f && fabsf(got[3] - expected.z) < 1e-5f);
+    rest->joints--;
+    hg_motion *none = NULL;
+    FAILS(hg_motion_combine(&none, m, rest), "cannot be combined");
+    rest->joints++;
+    hg_motion_destroy(m), hg_motion_destroy(once), hg_motion_destroy(twice), hg_motion_destroy(rest),
+        hg_motion_destroy(sum);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -414,6 +453,7 @@ int main(void)
         cmocka_unit_test(test_motions),
         cmocka_unit_test(test_a_jump_falls_as_it_should),
         cmocka_unit_test(test_short_motions_and_other_bodies),
+        cmocka_unit_test(test_mirrored_and_combined),
     };
     return cmocka_run_group_tests(tests, set_up, tear_down);
 }
