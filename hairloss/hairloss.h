@@ -30,7 +30,7 @@ extern "C" {
 /* ---- energies ----------------------------------------------------------------------------------------------- */
 
 typedef enum {
-    HG_SITE_WINDOW,     /* `count` consecutive vertices of a strand */
+    HG_SITE_WINDOW,     /* `count` consecutive vertices of a strand; a formula with carry and keep is a scan from root to tip */
     HG_SITE_PAIRS,      /* the pairs of a list: x(0), x(1), rest(0), rest(1), distance */
     HG_SITE_FIELD       /* a sum over neighbours (`kernel` of distance), then a function of it (`trace`) */
 } hg_site_kind;
@@ -85,6 +85,18 @@ typedef struct {
     const hg_body_tree *body;            /* NULL: no contact */
 } hg_groom_data;
 
+/* Anything else that an energy asks for, or that takes the place of what the groom or the term says in this call:
+ *
+ *     "bend_twist.stiffness"   a parameter of an energy, per strand: [], [S] or [B,S]. Of a pair or a neighbour sum: that of
+ *                              the strand of the first vertex; one that makes a list (radius, h of a field) has to be []
+ *     "dt"                     [], s
+ *     "rest", "mass", or the name of a groom attribute       [G,S,V,3], [G,S,V]
+ *     "q"                      free orientations of the edges [B,S,V-1,4]
+ *     any name that a formula reads with frame_scalar or frame_vec3: [B,S,V], [B,S,V,3]     ("ghost", "deformation")
+ *
+ * A name that no energy asks for is an error that says which ones there are. */
+typedef struct { const char *name; hg_tensor *value; } hg_frame_input;
+
 /* What a frame brings; f32 or f64 as the physics. NULL where no energy asks for it (an error says which one does). */
 typedef struct {
     const int32_t *groom;                /* [B], NULL: all 0 */
@@ -94,6 +106,8 @@ typedef struct {
     hg_tensor *predicted, *previous;     /* [B,S,V,3] */
     hg_tensor *body_vertices;            /* [B,N,3] */
     double dt;                           /* s */
+    int64_t consecutive;                 /* pose_reg: the batch is B / consecutive sequences of so many frames; 0: one sequence */
+    const hg_frame_input *inputs; int n_inputs;
 } hg_frame;
 
 typedef enum { HG_BACKEND_AUTO, HG_BACKEND_INTERPRETER, HG_BACKEND_COMPILED } hg_backend;
@@ -103,7 +117,11 @@ hg_status  hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, 
 void       hg_physics_destroy(hg_physics *physics);
 hg_status  hg_physics_backend(hg_physics *physics, hg_backend backend);            /* COMPILED fails, and says so, where no built-in kernel matches */
 const char *hg_physics_backend_name(const hg_physics *physics);                    /* "compiled avx512" or "interpreter", for the log */
-/* One scalar, differentiable in x only; unweighted [n terms] f64 read-outs (may be NULL). Value and gradient are made in one pass. */
+/* One scalar; unweighted [n terms] f64 read-outs (may be NULL). Value and gradient are made in one pass. Differentiable in x,
+ * root_rotation, root_position, posed, predicted, previous and every tensor of frame->inputs: a gradient is made for those that
+ * need one when the call is recorded. Contact is detached: a body_vertices that needs a gradient is an error, and so is a
+ * parameter that makes a list. What is asked for changes the program (what is differentiated is not hoisted): a few
+ * combinations are kept, so that a training step does not trace again. */
 hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted);
 /* The same without a tape: energy per strand and term [B,S,n] f64 (may be NULL), gradient [B,S,V,3] (may be NULL). */
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);

@@ -329,6 +329,8 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
                      double *per_strand, void *gradient)
 {
     HG_TRY(check_frame(p, frame, x));
+    if (frame->n_inputs)
+        return hg_fail(HG_UNSUPPORTED, "physics: frame input '%s' cannot be given yet", frame->inputs[0].name);
     const bool given = frame->posed && p->wants_posed;
     hg_strand_pass **strands = &p->strands[given];
     if (given && p->n_window && !*strands) {
@@ -345,7 +347,7 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
         memset(gradient, 0, hg_tensor_bytes(x));
     for (int i = 0; i < p->n_others; i++) {
         const int t = p->others[i].term;
-        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, gradient, &sums[t],
+        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, 0, NULL, gradient, &sums[t],
                                       per_strand ? per_strand + t : NULL, p->n));
     }
     return HG_OK;

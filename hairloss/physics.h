@@ -18,12 +18,23 @@ typedef struct {
     const hg_groom_data *data; /* the physics' own copy; mass and n_attributes as given, mass never NULL */
 } hg_pass_setup;
 
+/* A value of this call that is not the groom's or the term's own, resolved by physics, and where its gradient goes. */
+typedef struct {
+    hg_input_kind kind; /* HG_INPUT_PARAM, HG_INPUT_DT, HG_INPUT_REST, HG_INPUT_MASS, HG_INPUT_ATTRIBUTE */
+    int term, param;    /* HG_INPUT_PARAM: number of the term in the physics, number of the param in its energy */
+    const char *name;   /* HG_INPUT_ATTRIBUTE */
+    bool uniform;       /* a param or dt of one value: values is [1] */
+    const void *values; /* in the dtype of the physics: [1] or [B,S]; groom values [G,S,V,w] */
+    void *gradient;     /* the same shape, NULL: not wanted; the pass ADDS weight * dE/dvalue */
+} hg_pass_value;
+
 typedef struct {
     hg_status (*create)(void **self, const hg_pass_setup *setup);
     void (*destroy)(void *self); /* NULL is fine */
     /* x [B,S,V,3]. gradient [B,S,V,3] in dtype, NULL: not wanted; adds weight * dE/dx. *unweighted gets the energy.
      * per_strand: NULL, or [B,S] values at distance `stride`: gets the energy per strand (set, not added). */
-    hg_status (*run)(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void *gradient,
+    hg_status (*run)(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int n_values,
+                     const hg_pass_value *values /* those of other terms are there too */, void *gradient,
                      double *unweighted, double *per_strand, int64_t stride);
 } hg_physics_pass;
 

@@ -190,11 +190,14 @@ static hg_status field_create(void **self, const hg_pass_setup *setup)
     return HG_OK;
 }
 
-static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void *gradient,
-                           double *unweighted, double *per_strand, int64_t stride)
+static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int n_values,
+                           const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
+                           int64_t stride)
 {
     field_pass *pass = self;
     pass->inputs.uniform[pass->inputs.dt] = frame->dt;
+    (void)n_values;
+    (void)values;
     pass->kernel_inputs.uniform[pass->kernel_inputs.dt] = frame->dt;
     *unweighted = 0.0;
     for (int64_t b = 0; b < x->shape[0]; b++) {

@@ -10,6 +10,7 @@
  *     conj(q) qmul(p, q) rotate(q, v) transport(a, b) tangent(a, b, l0) rest_length(a, b)
  *     x(k) rest(k) posed(k) predicted(k) previous(k) contact_point(k) contact_normal(k) contact_distance(k)
  *     root_x(k) root_rest(k) root_rotation() root_position() mass(k) attribute(name, k)
+ *     q(k) frame_scalar(name, k) frame_vec3(name, k) carry(name, first) keep(name, value)
  *     distance() rest_distance() field() field_rest() param(name) param3(name) dt() option(name, choice)
  *
  * A vector plus a scalar does not compile, nor does `if (a < b)`. Names of the C library (sqrt, abs, div, select, ...)
@@ -184,20 +185,33 @@ static inline hg_quat hg_name_quaternion(hg_scalar w, hg_vec3 v) { return (hg_qu
 
 /* ---- inputs ------------------------------------------------------------------------------------------------- */
 
-#define x(k)                 hg_trace_x(k)
-#define rest(k)              hg_trace_rest(k)
-#define posed(k)             hg_trace_posed(k)
-#define predicted(k)         hg_trace_predicted(k)
-#define previous(k)          hg_trace_previous(k)
-#define contact_point(k)     hg_trace_contact_point(k)
-#define contact_normal(k)    hg_trace_contact_normal(k)
-#define contact_distance(k)  hg_trace_contact_distance(k)
-#define root_x(k)            hg_trace_root_x(k)
-#define root_rest(k)         hg_trace_root_rest(k)
-#define root_rotation()      hg_trace_root_rotation()
-#define root_position()      hg_trace_root_position()
-#define mass(k)              hg_trace_mass(k)
-#define attribute(name, k)   hg_trace_attribute(name, k)
+#define x(k)                  hg_trace_x(k)
+#define rest(k)               hg_trace_rest(k)
+#define posed(k)              hg_trace_posed(k)
+#define predicted(k)          hg_trace_predicted(k)
+#define previous(k)           hg_trace_previous(k)
+#define contact_point(k)      hg_trace_contact_point(k)
+#define contact_normal(k)     hg_trace_contact_normal(k)
+#define contact_distance(k)   hg_trace_contact_distance(k)
+#define root_x(k)             hg_trace_root_x(k)
+#define root_rest(k)          hg_trace_root_rest(k)
+#define root_rotation()       hg_trace_root_rotation()
+#define root_position()       hg_trace_root_position()
+#define mass(k)               hg_trace_mass(k)
+#define attribute(name, k)    hg_trace_attribute(name, k)
+#define q(k)                  hg_trace_q(k)
+#define frame_scalar(name, k) hg_trace_frame_scalar(name, k)
+#define frame_vec3(name, k)   hg_trace_frame_vec3(name, k)
+#define carry(name, first)                                                                                             \
+    _Generic((first), hg_vec3                                                                                          \
+             : hg_trace_carry_vec3, hg_quat                                                                            \
+             : hg_trace_carry_quat, hg_scalar                                                                          \
+             : hg_trace_carry_scalar)(name, first)
+#define keep(name, value)                                                                                              \
+    _Generic((value), hg_vec3                                                                                          \
+             : hg_trace_keep_vec3, hg_quat                                                                             \
+             : hg_trace_keep_quat, hg_scalar                                                                           \
+             : hg_trace_keep_scalar)(name, value)
 #define distance()           hg_trace_distance()
 #define rest_distance()      hg_trace_rest_distance()
 #define field()              hg_trace_field()

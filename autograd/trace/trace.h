@@ -55,6 +55,9 @@ hg_quat   hg_trace_root_rotation(void);      /* R of the strand in this frame */
 hg_vec3   hg_trace_root_position(void);
 hg_scalar hg_trace_mass(int k);              /* kg */
 hg_scalar hg_trace_attribute(const char *name, int k); /* a groom attribute [S,V]: "body_distance", "density_rest", ... */
+hg_quat   hg_trace_q(int k);                 /* free orientation of edge k (vertices k, k+1), an unknown like x */
+hg_scalar hg_trace_frame_scalar(const char *name, int k); /* a named array of the frame, [B,S,V] and [B,S,V,3], */
+hg_vec3   hg_trace_frame_vec3(const char *name, int k);   /* brought by hg_frame.inputs: "ghost", "wind", ... */
 hg_scalar hg_trace_distance(void);           /* pairs and field kernels: |x_i - x_j| */
 hg_scalar hg_trace_rest_distance(void);      /* pairs: the same at rest */
 hg_scalar hg_trace_field(void);              /* field energies: the sum over neighbours at this vertex */
@@ -63,6 +66,16 @@ hg_scalar hg_trace_param(const char *name);  /* a declared parameter of the ener
 hg_vec3   hg_trace_param3(const char *name); /* a declared vector parameter */
 hg_scalar hg_trace_dt(void);                 /* s */
 bool      hg_trace_option(const char *name, const char *choice); /* decided while tracing: a C if is fine */
+
+/* A scan: a value that goes from site to site, root to tip. carry: what the site before kept under that name, `first` at the
+ * first site. Each name is carried once and kept once per formula. One that depends on rest data alone is made once per
+ * groom. The derivative is carried back from tip to root. */
+hg_scalar hg_trace_carry_scalar(const char *name, hg_scalar first);
+hg_vec3   hg_trace_carry_vec3(const char *name, hg_vec3 first);
+hg_quat   hg_trace_carry_quat(const char *name, hg_quat first);
+void      hg_trace_keep_scalar(const char *name, hg_scalar value);
+void      hg_trace_keep_vec3(const char *name, hg_vec3 value);
+void      hg_trace_keep_quat(const char *name, hg_quat value);
 
 /* Scalars */
 hg_scalar hg_trace_number(double value);
