@@ -4,6 +4,7 @@
 #include "hairloss/physics.h"
 
 #include "autograd/trace/graph.h"
+#include "geometry/vector.h"
 
 #include <math.h>
 #include <string.h>
@@ -95,6 +96,53 @@ static hg_status copy_data(hg_physics *p, const hg_groom_data *data)
         if (!p->attributes[i].name) status = HG_MEMORY;
     }
     return status;
+}
+
+/* Does a formula of the term ask for the attribute? */
+static hg_status asks_for(const hg_term *term, const char *attribute, bool *asks)
+{
+    const hg_site_kind site = term->energy->site.kind;
+    hg_scalar (*const formulas[2])(void) = { term->energy->trace, term->energy->root };
+    for (int f = 0; f < 2; f++) {
+        hg_trace_scope scope;
+        uint32_t kinds;
+        int n = 0;
+        char *attributes[8];
+        if (!formulas[f]) continue;
+        hg_term_scope(&scope, term, 0,
+                      site == HG_SITE_WINDOW  ? HG_ALLOW_WINDOW
+                      : site == HG_SITE_PAIRS ? HG_ALLOW_PAIRS
+                                              : HG_ALLOW_FIELD);
+        HG_TRY(hg_formula_inputs(formulas[f], &scope, &kinds, &n, attributes));
+        for (int i = 0; i < n; i++) {
+            *asks |= strcmp(attributes[i], attribute) == 0;
+            hg_free(attributes[i]);
+        }
+    }
+    return HG_OK;
+}
+
+/* The attribute "strand_length" where an energy asks for it and the groom does not have it: the sum of the rest edges. */
+static hg_status make_strand_length(hg_physics *p)
+{
+    const int64_t V = p->data.vertices, strands = p->data.grooms * p->data.strands;
+    bool asked = false;
+    for (int t = 0; t < p->n; t++) HG_TRY(asks_for(&p->terms[t], "strand_length", &asked));
+    if (!asked || hg_groom_attribute_find(&p->data, "strand_length")) return HG_OK;
+    double *values = hg_alloc((size_t)(strands * V) + 1, sizeof *values);
+    hg_groom_attribute *made = &p->attributes[p->data.n_attributes]; /* copy_data left room for one */
+    made->values = values;
+    made->name = hg_strdup("strand_length");
+    p->data.n_attributes++;
+    if (!values || !made->name) return HG_MEMORY;
+    for (int64_t i = 0; i < strands; i++) {
+        const double *rest = p->data.rest + 3 * i * V;
+        double length = 0;
+        for (int64_t v = 1; v < V; v++)
+            length += hg_vec3d_distance(hg_vec3d_load(rest + 3 * v), hg_vec3d_load(rest + 3 * v - 3));
+        for (int64_t v = 0; v < V; v++) values[i * V + v] = length;
+    }
+    return HG_OK;
 }
 
 static hg_status copy_terms(hg_physics *p, const hg_term *terms)
@@ -194,6 +242,7 @@ hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, c
     p->backend = HG_BACKEND_AUTO;
     hg_status status = copy_terms(p, terms);
     if (status == HG_OK) status = copy_data(p, data);
+    if (status == HG_OK) status = make_strand_length(p);
     if (status == HG_OK && p->contact >= 0 && !data->body)
         status = hg_fail(HG_INVALID, "energy '%s' needs a body, and the groom data has none",
                          p->terms[p->contact].energy->name);

@@ -522,6 +522,8 @@ hg_scalar hg_trace_attribute(const char *name, int k)
     return (hg_scalar){ hg_graph_input(graph, (hg_input){ HG_INPUT_ATTRIBUTE, (int16_t)offset, 0, (int16_t)i, 0 }) };
 }
 
+hg_scalar hg_trace_strand_length(void) { return hg_trace_attribute("strand_length", 0); }
+
 hg_scalar hg_trace_distance(void) { return input(HG_INPUT_DISTANCE, 0, 0); }
 
 hg_scalar hg_trace_rest_distance(void) { return input(HG_INPUT_REST_DISTANCE, 0, 0); }

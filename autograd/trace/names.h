@@ -10,7 +10,7 @@
  *     conj(q) qmul(p, q) rotate(q, v) transport(a, b) tangent(a, b, l0) rest_length(a, b)
  *     x(k) rest(k) posed(k) predicted(k) previous(k) contact_point(k) contact_normal(k) contact_distance(k)
  *     root_x(k) root_rest(k) root_rotation() root_position() mass(k) attribute(name, k)
- *     q(k) frame_scalar(name, k) frame_vec3(name, k) carry(name, first) keep(name, value)
+ *     strand_length() q(k) frame_scalar(name, k) frame_vec3(name, k) carry(name, first) keep(name, value)
  *     distance() rest_distance() field() field_rest() param(name) param3(name) dt() option(name, choice)
  *
  * A vector plus a scalar does not compile, nor does `if (a < b)`. Names of the C library (sqrt, abs, div, select, ...)
@@ -199,6 +199,7 @@ static inline hg_quat hg_name_quaternion(hg_scalar w, hg_vec3 v) { return (hg_qu
 #define root_position()       hg_trace_root_position()
 #define mass(k)               hg_trace_mass(k)
 #define attribute(name, k)    hg_trace_attribute(name, k)
+#define strand_length()       hg_trace_strand_length()
 #define q(k)                  hg_trace_q(k)
 #define frame_scalar(name, k) hg_trace_frame_scalar(name, k)
 #define frame_vec3(name, k)   hg_trace_frame_vec3(name, k)

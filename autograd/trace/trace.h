@@ -55,6 +55,7 @@ hg_quat   hg_trace_root_rotation(void);      /* R of the strand in this frame */
 hg_vec3   hg_trace_root_position(void);
 hg_scalar hg_trace_mass(int k);              /* kg */
 hg_scalar hg_trace_attribute(const char *name, int k); /* a groom attribute [S,V]: "body_distance", "density_rest", ... */
+hg_scalar hg_trace_strand_length(void);      /* rest length of the strand: the attribute "strand_length", made of the groom's own rest where it is absent */
 hg_quat   hg_trace_q(int k);                 /* free orientation of edge k (vertices k, k+1), an unknown like x */
 hg_scalar hg_trace_frame_scalar(const char *name, int k); /* a named array of the frame, [B,S,V] and [B,S,V,3], */
 hg_vec3   hg_trace_frame_vec3(const char *name, int k);   /* brought by hg_frame.inputs: "ghost", "wind", ... */
