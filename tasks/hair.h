@@ -91,8 +91,8 @@ struct hg_hair_task {
     hg_ctx *ctx;
     hg_config *config;
     uint64_t config_hash, seed;
-    char *folder, *backend;
-    bool opened; /* a finished run: nothing is trained or written */
+    char *folder, *backend, *start_from; /* start_from: a checkpoint; NULL: none */
+    bool opened;                         /* a finished run: nothing is trained or written */
 
     hg_body *body;
     hg_groom *groom;
@@ -136,6 +136,8 @@ struct hg_hair_task {
 
 hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress);
+hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file);
+hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file);
 hg_status hg_hair_strands_encode(hg_hair_task *task);  /* strand features from the encoder as it is */
 hg_status hg_hair_features_create(hg_hair_task *task); /* names and normalisation; once the strands are there */
 hg_status hg_hair_features_tensors(hg_hair_task *task);

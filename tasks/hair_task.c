@@ -215,12 +215,8 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
 static hg_status save(void *self, hg_h5 *file)
 {
     const hg_hair_task *task = self;
-    char name[160], hash[24];
-    for (int i = 0; i < task->encoder->n_params; i++) {
-        const hg_tensor *param = task->encoder->params[i];
-        snprintf(name, sizeof name, "/encoder/%s", param->name);
-        HG_TRY(hg_h5_write(file, name, HG_F32, param->rank, param->shape, param->data));
-    }
+    char hash[24];
+    HG_TRY(hg_hair_encoder_save(task, file));
     const int64_t inputs = task->inputs;
     HG_TRY(hg_h5_write(file, "/features/mean", HG_F64, 1, &inputs, task->mean));
     HG_TRY(hg_h5_write(file, "/features/deviation", HG_F64, 1, &inputs, task->deviation));
@@ -232,12 +228,10 @@ static hg_status save(void *self, hg_h5 *file)
 static hg_status load_features(hg_hair_task *task, hg_h5 *file)
 {
     const int64_t inputs = task->inputs;
-    double *mean = NULL, *deviation = NULL, *reference = NULL;
+    double *mean = NULL, *deviation = NULL;
     hg_status status = hg_h5_read(file, "/features/mean", HG_F64, 1, &inputs, NULL, (void **)&mean);
     if (status == HG_OK)
         status = hg_h5_read(file, "/features/deviation", HG_F64, 1, &inputs, NULL, (void **)&deviation);
-    if (status == HG_OK)
-        status = hg_h5_read(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&reference);
     for (int64_t i = 0; status == HG_OK && i < inputs; i++)
         if (!(deviation[i] > 0) || !isfinite(mean[i]))
             status = hg_fail(HG_FORMAT, "checkpoint: the deviation of feature %s is %g, it has to be positive",
@@ -245,13 +239,26 @@ static hg_status load_features(hg_hair_task *task, hg_h5 *file)
     if (status == HG_OK) {
         memcpy(task->mean, mean, (size_t)inputs * sizeof *mean);
         memcpy(task->deviation, deviation, (size_t)inputs * sizeof *deviation);
-        task->reference = reference[0];
     }
     hg_free(mean);
     hg_free(deviation);
-    hg_free(reference);
     return status;
 }
+
+/* The normalisation, and what was made with the encoder before it was read. */
+static hg_status load_inputs(hg_hair_task *task, hg_h5 *file)
+{
+    HG_TRY(hg_hair_encoder_load(task, file));
+    HG_TRY(load_features(task, file));
+    HG_TRY(hg_hair_strands_encode(task));
+    HG_TRY(hg_hair_features_tensors(task));
+    if (task->subset.n) HG_TRY(hg_hair_subset_features(&task->subset, task));
+    if (task->evaluation.n) HG_TRY(hg_hair_subset_features(&task->evaluation, task));
+    return HG_OK;
+}
+
+/* A new run that starts from another's weights sees the world as that one did; the unit of the loss is its own. */
+static hg_status start(void *self, hg_h5 *file) { return load_inputs(self, file); }
 
 static hg_status load(void *self, hg_h5 *file)
 {
@@ -263,21 +270,11 @@ static hg_status load(void *self, hg_h5 *file)
     hg_free(hash);
     if (!same)
         return hg_fail(HG_INVALID, "checkpoint: it was trained on another groom than the one the config names now");
-    for (int i = 0; i < task->encoder->n_params; i++) {
-        hg_tensor *param = task->encoder->params[i];
-        char name[160];
-        void *values = NULL;
-        snprintf(name, sizeof name, "/encoder/%s", param->name);
-        HG_TRY(hg_h5_read(file, name, HG_F32, param->rank, param->shape, NULL, &values));
-        const hg_status status = hg_tensor_write(param, values);
-        hg_free(values);
-        HG_TRY(status);
-    }
-    HG_TRY(load_features(task, file));
-    HG_TRY(hg_hair_strands_encode(task));
-    HG_TRY(hg_hair_features_tensors(task));
-    if (task->subset.n) HG_TRY(hg_hair_subset_features(&task->subset, task));
-    if (task->evaluation.n) HG_TRY(hg_hair_subset_features(&task->evaluation, task));
+    double *reference = NULL;
+    HG_TRY(load_inputs(task, file));
+    HG_TRY(hg_h5_read(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&reference));
+    task->reference = reference[0];
+    hg_free(reference);
     return HG_OK;
 }
 
@@ -309,6 +306,28 @@ static hg_status take_config(hg_hair_task *task, const hg_config *config, const 
     return status;
 }
 
+/* The checkpoint that `training.start_from` means: a file, or the best one of a run. */
+static hg_status find_start(hg_hair_task *task)
+{
+    const hg_config *config = task->config;
+    const char *from = hg_config_text(config, "training.start_from"), *key = "training.start_from";
+    if (!from[0]) return HG_OK;
+    static const char *const names[] = { NULL, "best.h5", "checkpoint.h5" };
+    const bool file = !strcmp(hg_path_extension(from), "h5");
+    for (int i = file ? 0 : 1; i < (file ? 1 : 3); i++) {
+        char *path = names[i] ? hg_path_join(from, names[i]) : hg_strdup(from);
+        if (!path) return HG_MEMORY;
+        if (hg_file_exists(path)) {
+            task->start_from = path;
+            return HG_OK;
+        }
+        hg_free(path);
+    }
+    return hg_fail(HG_IO, "%s:%d: %s: %s: %s", hg_config_name(config), hg_config_line(config, key), key, from,
+                   file ? "there is no such file"
+                        : "no best.h5 and no checkpoint.h5: nothing has been trained there yet");
+}
+
 static hg_status name_terms(hg_hair_task *task)
 {
     const char *const prefix[3] = { "loss.", "joule.", "validation." };
@@ -333,6 +352,10 @@ static hg_train_options train_options(const hg_hair_task *task)
     options.beta2 = hg_config_number(c, "training.beta2");
     options.epsilon = hg_config_number(c, "training.epsilon");
     options.weight_decay = hg_config_number(c, "training.weight_decay");
+    options.ema = hg_config_number(c, "training.ema");
+    options.patience = hg_config_integer(c, "training.patience");
+    options.tensorboard = hg_config_flag(c, "training.tensorboard");
+    options.start_from = task->start_from;
     options.log_every = hg_config_integer(c, "training.log_every");
     options.validate_every = hg_config_integer(c, "training.validate_every");
     options.checkpoint_every = hg_config_integer(c, "training.checkpoint_every");
@@ -345,6 +368,7 @@ static hg_train_options train_options(const hg_hair_task *task)
 static hg_status create(hg_hair_task *task, const hg_config *config, const char *folder, const hg_progress *progress)
 {
     HG_TRY(take_config(task, config, folder));
+    if (!task->opened) HG_TRY(find_start(task));
     HG_TRY(hg_hair_terms_create(&task->terms, task->config));
     HG_TRY(name_terms(task));
     HG_TRY(hg_hair_world_create(task, progress));
@@ -364,7 +388,8 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .loss = loss,
                             .validate = validate,
                             .save = save,
-                            .load = load };
+                            .load = load,
+                            .start = start };
     task->backend = hg_strdup(hg_physics_backend_name(task->subset.physics)); /* outlives a subset drawn anew */
     if (!task->backend) return HG_MEMORY;
     task->options = train_options(task);
@@ -429,6 +454,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
     hg_free(task->validation_batch);
     hg_free(task->folder);
     hg_free(task->backend);
+    hg_free(task->start_from);
     hg_config_destroy(task->config);
     hg_free(task);
 }

@@ -141,12 +141,50 @@ hg_status hg_hair_strands_encode(hg_hair_task *task)
     return status;
 }
 
+hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file)
+{
+    char name[160];
+    for (int i = 0; i < task->encoder->n_params; i++) {
+        const hg_tensor *param = task->encoder->params[i];
+        snprintf(name, sizeof name, "/encoder/%s", param->name);
+        HG_TRY(hg_h5_write(file, name, HG_F32, param->rank, param->shape, param->data));
+    }
+    return HG_OK;
+}
+
+hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file)
+{
+    for (int i = 0; i < task->encoder->n_params; i++) {
+        hg_tensor *param = task->encoder->params[i];
+        char name[160];
+        void *values = NULL;
+        snprintf(name, sizeof name, "/encoder/%s", param->name);
+        HG_TRY(hg_h5_read(file, name, HG_F32, param->rank, param->shape, NULL, &values));
+        const hg_status status = hg_tensor_write(param, values);
+        hg_free(values);
+        HG_TRY(status);
+    }
+    return HG_OK;
+}
+
+/* The encoder of the checkpoint that training starts from. */
+static hg_status encoder_of_start(hg_hair_task *task)
+{
+    hg_h5 *file = NULL;
+    HG_TRY(hg_h5_open(&file, task->start_from));
+    const hg_status status = hg_hair_encoder_load(task, file);
+    hg_h5_close(file);
+    return status;
+}
+
 /* What the encoder depends on: a stored one with another hash is not used. */
 static uint64_t encoder_hash(const hg_hair_task *task)
 {
     const int64_t settings[] = { task->latent, hg_config_integer(task->config, "features.encoder_width"),
                                  hg_config_integer(task->config, "features.encoder_steps"), (int64_t)task->seed };
-    return hg_hash(settings, sizeof settings, hg_groom_hash(task->groom));
+    const uint64_t hash = hg_hash(settings, sizeof settings, hg_groom_hash(task->groom));
+    const char *from = hg_config_text(task->config, "training.start_from");
+    return from[0] ? hg_hash(from, strlen(from), hash) : hash;
 }
 
 static hg_status stored_encoder(hg_hair_task *task, const char *path, uint64_t hash, bool *found)
@@ -196,9 +234,13 @@ hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress
     if (status == HG_OK && !task->opened) status = stored_encoder(task, path, hash, &found);
     if (status == HG_OK && !task->opened && !found) {
         hg_progress_report(progress, 0, "strand encoder");
-        float *strands = strand_inputs(groom, inputs);
-        status = strands ? train_encoder(task, strands, inputs, progress) : HG_MEMORY;
-        hg_free(strands);
+        if (task->start_from) {
+            status = encoder_of_start(task);
+        } else {
+            float *strands = strand_inputs(groom, inputs);
+            status = strands ? train_encoder(task, strands, inputs, progress) : HG_MEMORY;
+            hg_free(strands);
+        }
         if (status == HG_OK && path) status = hg_checkpoint_save(path, task->encoder, NULL, 0, NULL, "", hash);
     }
     hg_free(path);

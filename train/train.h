@@ -7,7 +7,8 @@
  *     options.steps = 2000; options.folder = "out/run";
  *     hg_train(ctx, &model, &task, &options, &progress, &report);
  *
- * The run folder: config.yaml (echo), log.jsonl (one object per logged step), checkpoint.h5 (atomic), best.h5, report.json.
+ * The run folder: config.yaml (echo), log.jsonl (one object per logged step), checkpoint.h5 (atomic), best.h5, report.json,
+ * and with `tensorboard` events.out.tfevents.*.
  * Bit for bit: the same run twice, with any number of threads, and interrupted and resumed, gives the same weights.
  */
 #ifndef HG_TRAIN_H
@@ -33,6 +34,7 @@ typedef struct {
     hg_status  (*validate)(void *self, hg_ctx *ctx, hg_model *model, hg_report *report);        /* adds "validation"; NULL: none */
     hg_status  (*save)(void *self, hg_h5 *file);                  /* what else a checkpoint must hold; NULL: nothing */
     hg_status  (*load)(void *self, hg_h5 *file);
+    hg_status  (*start)(void *self, hg_h5 *file);                 /* what a new run takes over from the checkpoint it starts from; NULL: nothing */
 } hg_task;
 
 typedef struct {
@@ -41,7 +43,11 @@ typedef struct {
     int64_t warm_up;                       /* steps, linear */
     double clip;                           /* largest global gradient norm; 0: none */
     double beta1, beta2, epsilon, weight_decay;
+    double ema;                            /* decay of a moving average of the weights, which then is what validations, best.h5, /model of checkpoints and the caller get; 0: none */
+    int64_t patience;                      /* stops after so many validations without a better one; 0: never */
     int64_t log_every, validate_every, checkpoint_every;
+    bool tensorboard;                      /* the log's numbers as an event file too */
+    const char *start_from;                /* a checkpoint whose weights a new run starts from, with a fresh optimiser; NULL or "": none */
     double minutes;                        /* stops (finished, with the schedule cut) after so much time; 0: no limit. Not reproducible, said in the log */
     const char *folder;
     bool resume;                           /* continue from folder/checkpoint.h5 when there is one */
@@ -51,7 +57,7 @@ typedef struct {
     bool (*stop)(void *);  void *stop_self; /* asked once a step; true: checkpoint and return (signal handlers) */
 } hg_train_options;
 
-typedef struct { int64_t steps; double seconds, loss, best_validation; bool interrupted; } hg_train_result;
+typedef struct { int64_t steps; double seconds, loss, best_validation; bool interrupted, early /* out of patience */; } hg_train_result;
 
 hg_train_options hg_train_defaults(void);
 hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_train_options *options, const hg_progress *progress, hg_train_result *result);

@@ -53,7 +53,9 @@ typedef struct {
     const hg_train_options *options;
     const hg_progress *progress;
     hg_adam *adam;
+    hg_average *average;
     hg_run_log *log;
+    hg_events *events;
     char *checkpoint, *best, *report;
     void *batch;
     hg_train_state state;
@@ -61,6 +63,7 @@ typedef struct {
     hg_report validated; /* of the last validation */
     double started, logged, loss;
     int64_t logged_step, first_step;
+    bool resumed, early;
 } run;
 
 static double elapsed(const run *r) { return r->state.seconds + seconds_now() - r->started; }
@@ -70,7 +73,11 @@ static hg_status save(run *r, const char *path)
     if (!path) return HG_OK;
     hg_train_state state = r->state;
     state.seconds = elapsed(r);
-    return hg_state_save(path, r->model, r->adam, &state, r->task, r->options->backend, r->options->config_hash);
+    HG_TRY(hg_average_exchange(r->average));
+    const hg_status status = hg_state_save(path, r->model, r->adam, r->average, &state, r->task, r->options->backend,
+                                           r->options->config_hash);
+    HG_TRY(hg_average_exchange(r->average));
+    return status;
 }
 
 static hg_status resume(run *r)
@@ -79,18 +86,22 @@ static hg_status resume(run *r)
     if (!r->checkpoint || !options->resume || !hg_file_exists(r->checkpoint)) return HG_OK;
     char *backend = NULL;
     uint64_t config_hash = 0;
-    HG_TRY(hg_state_load(r->checkpoint, r->model, r->adam, &r->state, r->task, &backend, &config_hash));
-    hg_status status = HG_OK;
-    if (config_hash != options->config_hash)
+    hg_status status =
+        hg_state_load(r->checkpoint, r->model, r->adam, r->average, &r->state, r->task, &backend, &config_hash);
+    /* Another config may be why the file does not fit: it is told first. */
+    if (config_hash && config_hash != options->config_hash)
         status = hg_fail(HG_INVALID,
                          "%s: it belongs to another config; train into another folder, or start again without resuming",
                          r->checkpoint);
-    else if (strcmp(backend, options->backend ? options->backend : "") && !options->allow_other_backend)
+    else if (status == HG_OK && strcmp(backend, options->backend ? options->backend : "") &&
+             !options->allow_other_backend)
         status = hg_fail(HG_INVALID,
                          "%s: it was trained on \"%s\" and this is \"%s\", which rounds differently; allow another "
                          "back end to go on anyway",
                          r->checkpoint, backend, options->backend ? options->backend : "");
     hg_free(backend);
+    if (status == HG_OK) status = hg_average_exchange(r->average);
+    r->resumed = status == HG_OK;
     return status;
 }
 
@@ -113,7 +124,13 @@ static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
     HG_TRY(hg_adam_step(r->adam, *rate, options->beta1, options->beta2, options->epsilon, options->weight_decay,
                         options->clip, norm));
     r->state.step++;
-    return HG_OK;
+    return hg_average_step(r->average, options->ema, r->state.step);
+}
+
+static hg_status log_report(run *r, const hg_report *report)
+{
+    HG_TRY(hg_run_log_write(r->log, r->state.step, report));
+    return hg_events_write(r->events, r->state.step, report);
 }
 
 static hg_status validate(run *r)
@@ -122,15 +139,19 @@ static hg_status validate(run *r)
     hg_report report = { 0 };
     hg_ctx_clear(r->ctx);
     hg_step_reset(r->ctx);
+    HG_TRY(hg_average_exchange(r->average));
     HG_TRY(r->task->validate(r->task->self, r->ctx, r->model, &report));
     HG_TRY(hg_ctx_status(r->ctx));
+    HG_TRY(hg_average_exchange(r->average));
     r->validated = report;
-    HG_TRY(hg_run_log_write(r->log, r->state.step, &report));
+    HG_TRY(log_report(r, &report));
     const double value = hg_report_get(&report, "validation");
     if (value < r->state.best_validation) {
         r->state.best_validation = value;
+        r->state.unimproved = 0;
         return save(r, r->best);
     }
+    if (r->state.step > r->first_step) r->state.unimproved++; /* a finished run resumed makes none */
     return HG_OK;
 }
 
@@ -165,7 +186,12 @@ static hg_status write_log(run *r, hg_report *report, double norm, double rate)
     r->logged = now;
     r->logged_step = r->state.step;
     r->last = *report;
-    return hg_run_log_write(r->log, r->state.step, report);
+    return log_report(r, report);
+}
+
+static bool out_of_patience(const run *r)
+{
+    return r->options->patience > 0 && r->state.unimproved >= r->options->patience;
 }
 
 static bool every(int64_t step, int64_t period) { return period > 0 && step % period == 0; }
@@ -177,7 +203,8 @@ static hg_status loop(run *r, bool *interrupted)
     r->started = r->logged = seconds_now();
     r->first_step = r->logged_step = r->state.step;
     *interrupted = false;
-    while (r->state.step < options->steps) {
+    r->early = out_of_patience(r);
+    while (!r->early && r->state.step < options->steps) {
         if (options->stop && options->stop(options->stop_self)) {
             *interrupted = true;
             return save(r, r->checkpoint);
@@ -188,7 +215,14 @@ static hg_status loop(run *r, bool *interrupted)
         HG_TRY(one_step(r, &report, &norm, &rate));
         const int64_t step = r->state.step;
         if (every(step, options->log_every) || step == options->steps) HG_TRY(write_log(r, &report, norm, rate));
-        if (every(step, options->validate_every) && step != options->steps) HG_TRY(validate(r));
+        if (every(step, options->validate_every) && step != options->steps) {
+            HG_TRY(validate(r));
+            if (out_of_patience(r)) {
+                r->early = true;
+                HG_TRY(hg_run_log_note(r->log, step, "note", "stopped early: the validation no longer gets better"));
+                return save(r, r->checkpoint);
+            }
+        }
         if (every(step, options->checkpoint_every) && step != options->steps) HG_TRY(save(r, r->checkpoint));
         tell(r);
     }
@@ -209,6 +243,17 @@ static hg_status remove_leftovers(const char *path)
     return HG_OK;
 }
 
+/* Fine-tuning: other weights than random ones to begin with. */
+static hg_status start(run *r)
+{
+    const char *from = r->options->start_from;
+    if (!from || !from[0]) return HG_OK;
+    HG_TRY(hg_state_start(from, r->model, r->task));
+    hg_average_destroy(r->average); /* it began with the random ones */
+    r->average = NULL;
+    return r->options->ema > 0 ? hg_average_create(&r->average, r->ctx, r->model->n_params, r->model->params) : HG_OK;
+}
+
 static hg_status prepare(run *r)
 {
     const char *folder = r->options->folder;
@@ -216,7 +261,8 @@ static hg_status prepare(run *r)
     r->batch = hg_alloc(1, r->task->batch_bytes ? r->task->batch_bytes : 1);
     if (!r->batch) return HG_MEMORY;
     HG_TRY(hg_adam_create(&r->adam, r->ctx, r->model->n_params, r->model->params));
-    if (!folder) return HG_OK;
+    if (r->options->ema > 0) HG_TRY(hg_average_create(&r->average, r->ctx, r->model->n_params, r->model->params));
+    if (!folder) return start(r);
     HG_TRY(hg_folder_create(folder));
     r->checkpoint = hg_path_join(folder, "checkpoint.h5");
     r->best = hg_path_join(folder, "best.h5");
@@ -225,7 +271,9 @@ static hg_status prepare(run *r)
     HG_TRY(remove_leftovers(r->checkpoint));
     HG_TRY(remove_leftovers(r->best));
     HG_TRY(resume(r));
+    if (!r->resumed) HG_TRY(start(r));
     HG_TRY(hg_run_log_open(&r->log, folder, r->state.step));
+    if (r->options->tensorboard) HG_TRY(hg_events_open(&r->events, folder, r->state.step));
     if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
     if (r->options->minutes > 0)
         HG_TRY(hg_run_log_note(r->log, r->state.step, "note",
@@ -256,14 +304,18 @@ hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_t
     hg_status status = prepare(&r);
     if (status == HG_OK) status = loop(&r, &interrupted);
     if (status == HG_OK) status = finish(&r);
+    if (status == HG_OK) status = hg_average_exchange(r.average); /* what the caller goes on with */
     if (result)
         *result = (hg_train_result){ .steps = r.state.step,
                                      .seconds = r.started > 0 ? elapsed(&r) : 0,
                                      .loss = r.loss,
                                      .best_validation = r.state.best_validation,
-                                     .interrupted = interrupted };
+                                     .interrupted = interrupted,
+                                     .early = r.early };
     hg_run_log_close(r.log);
+    hg_events_close(r.events);
     hg_adam_destroy(r.adam);
+    hg_average_destroy(r.average);
     hg_free(r.batch);
     hg_free(r.checkpoint);
     hg_free(r.best);
