@@ -2,7 +2,10 @@
  *
  * This is where training spends its time. Forward: one tile of 256 rows is multiplied, biased and activated while it is
  * in the cache. Backward: one pass over chunks of rows makes dz, dx, dW and db together; chunks depend on the number
- * of rows alone and their partial sums are added in a fixed tree. */
+ * of rows alone and their partial sums are added in a fixed tree.
+ *
+ * With hg_ctx_compute at HG_BF16 the factors of a layer of many rows are rounded to bf16 as they come into the cache, the
+ * weights once per call; sums, activations, gradients and the weights themselves are f32 as before. */
 #include "autograd/activation.h"
 
 #include <string.h>
@@ -16,6 +19,8 @@ typedef struct {
     const void *x, *weight, *bias, *gradient;
     void *out, *saved, *dx, *dweight, *dbias, *scratch;
     bool fresh;
+    uint16_t *weight_bf16; /* [n_in,n_out], NULL: compute in f32 */
+    uint16_t *tiles_bf16;  /* per thread: a tile of x, then one of dz */
 } linear_args;
 
 typedef struct {
@@ -42,6 +47,76 @@ typedef struct {
 #undef SUFFIX
 #undef DTYPE
 
+/* ---- factors in bf16 ---- */
+
+static void weight_bf16_cpu(const void *memory, int64_t first, int64_t last)
+{
+    const linear_args *p = memory;
+    hg_bf16_of_f32(last - first, (const float *)p->weight + first, p->weight_bf16 + first);
+}
+
+static const hg_kernel weight_bf16_kernel = {
+    .name = "linear_weight_bf16", .args_size = sizeof(linear_args), .cpu = weight_bf16_cpu, .block = 16384
+};
+
+static uint16_t *tile_bf16(const linear_args *p)
+{
+    return p->tiles_bf16 + (int64_t)hg_worker() * TILE_ROWS * (p->n_in + p->n_out);
+}
+
+static void linear_forward_bf16(const linear_args *p, int64_t tile)
+{
+    int64_t i = tile / p->column_tiles * TILE_ROWS, j = tile % p->column_tiles * TILE_COLUMNS;
+    int64_t rows = p->rows - i < TILE_ROWS ? p->rows - i : TILE_ROWS;
+    int64_t columns = p->n_out - j < TILE_COLUMNS ? p->n_out - j : TILE_COLUMNS;
+    float *out = (float *)p->out + i * p->n_out + j, *saved = p->saved ? (float *)p->saved + i * p->n_out + j : NULL;
+    uint16_t *x = tile_bf16(p);
+    hg_bf16_of_f32(rows * p->n_in, (const float *)p->x + i * p->n_in, x);
+    hg_product_here(HG_BF16, false, false, rows, columns, p->n_in, 1, x, p->n_in, p->weight_bf16 + j, p->n_out, 0, out,
+                    p->n_out);
+    linear_activate_f32(p, j, rows, columns, out, saved);
+}
+
+static void linear_backward_bf16(const linear_args *p, int64_t chunk)
+{
+    int64_t n_in = p->n_in, n_out = p->n_out, end = (chunk + 1) * p->chunk < p->rows ? (chunk + 1) * p->chunk : p->rows;
+    float *scratch = (float *)p->scratch + (int64_t)hg_worker() * TILE_ROWS * n_out;
+    uint16_t *x = tile_bf16(p), *dz_bf16 = x + TILE_ROWS * n_in;
+    for (int64_t i = chunk * p->chunk; i < end; i += TILE_ROWS) {
+        int64_t rows = end - i < TILE_ROWS ? end - i : TILE_ROWS;
+        bool first = i == chunk * p->chunk;
+        const float *dz = (const float *)p->gradient + i * n_out;
+        if (p->activation != HG_IDENTITY) {
+            activate_backward_f32(p->activation, rows * n_out, dz, (const float *)p->saved + i * n_out, scratch);
+            dz = scratch;
+        }
+        hg_bf16_of_f32(rows * n_out, dz, dz_bf16);
+        if (p->dx)
+            hg_product_here(HG_BF16, false, true, rows, n_in, n_out, 1, dz_bf16, n_out, p->weight_bf16, n_out,
+                            p->fresh ? 0 : 1, (float *)p->dx + i * n_in, n_in);
+        if (p->dweight) {
+            hg_bf16_of_f32(rows * n_in, (const float *)p->x + i * n_in, x);
+            hg_product_here(HG_BF16, true, false, n_in, n_out, rows, 1, x, n_in, dz_bf16, n_out, first ? 0 : 1,
+                            (float *)p->dweight + chunk * n_in * n_out, n_out);
+        }
+        if (p->dbias) add_rows_f32(rows, n_out, dz, (float *)p->dbias + chunk * n_out, first);
+    }
+}
+
+/* Rounds the weights and makes room for tiles, in the step's memory, where the call computes in bf16. Few rows are not
+ * worth the rounding of the weights. */
+static hg_status prepare_bf16(hg_ctx *ctx, linear_args *args)
+{
+    if (hg_ctx_compute_dtype(ctx) != HG_BF16 || args->dtype != HG_F32 || args->rows <= TILE_ROWS || args->n_in == 0 ||
+        args->n_out == 0)
+        return HG_OK;
+    int64_t weights = args->n_in * args->n_out;
+    args->weight_bf16 = hg_step_alloc(ctx, (size_t)weights * sizeof(uint16_t));
+    args->tiles_bf16 = hg_step_alloc(ctx, (size_t)(hg_ctx_threads(ctx) * TILE_ROWS * (args->n_in + args->n_out)) * 2);
+    if (!args->weight_bf16 || !args->tiles_bf16) return HG_MEMORY;
+    return hg_launch(ctx, &weight_bf16_kernel, weights, args);
+}
+
 /* A kernel for both float types. EACH_: the body takes one index; RANGE_: it takes the range. */
 #define EACH_KERNEL(name_, args_)                                                                                      \
     static void name_##_cpu(const void *memory, int64_t first, int64_t last)                                           \
@@ -62,8 +137,19 @@ typedef struct {
         .name = #name_, .args_size = sizeof(args_), .cpu = name_##_cpu, .block = block_                                \
     };
 
-EACH_KERNEL(linear_forward, linear_args)
-EACH_KERNEL(linear_backward, linear_args)
+#define LINEAR_KERNEL(name_)                                                                                           \
+    static void name_##_cpu(const void *memory, int64_t first, int64_t last)                                           \
+    {                                                                                                                  \
+        const linear_args *p = memory;                                                                                 \
+        for (int64_t i = first; i < last; i++)                                                                         \
+            (p->weight_bf16 ? name_##_bf16 : p->dtype == HG_F32 ? name_##_f32 : name_##_f64)(p, i);                    \
+    }                                                                                                                  \
+    static const hg_kernel name_##_kernel = {                                                                          \
+        .name = #name_, .args_size = sizeof(linear_args), .cpu = name_##_cpu, .block = 1                               \
+    };
+
+LINEAR_KERNEL(linear_forward)
+LINEAR_KERNEL(linear_backward)
 RANGE_KERNEL(linear_dz, linear_args, 4096)
 RANGE_KERNEL(column_sums, linear_args, 1024)
 RANGE_KERNEL(pair_forward, pair_args, 64)
@@ -124,8 +210,13 @@ static hg_status linear_forward(hg_call *call)
         if (!call->saved[0]) return HG_MEMORY;
         args.saved = call->saved[0]->data;
     }
-    return hg_launch(call->ctx, &linear_forward_kernel, (args.rows + TILE_ROWS - 1) / TILE_ROWS * args.column_tiles,
-                     &args);
+    hg_step_mark mark = hg_step_set_mark(call->ctx);
+    hg_status status = prepare_bf16(call->ctx, &args);
+    if (status == HG_OK)
+        status = hg_launch(call->ctx, &linear_forward_kernel,
+                           (args.rows + TILE_ROWS - 1) / TILE_ROWS * args.column_tiles, &args);
+    hg_step_rewind(call->ctx, mark);
+    return status;
 }
 
 /* Up to 256 rows there is one chunk: parallel inside the products instead. */
@@ -158,8 +249,8 @@ static hg_status few_rows_backward(hg_call *call, linear_args *args, hg_tensor *
 static hg_status many_rows_backward(hg_call *call, linear_args *args, hg_tensor *x, hg_tensor *weight, hg_tensor *bias)
 {
     hg_ctx *ctx = call->ctx;
-    int64_t length = (args->rows + CHUNKS - 1) / CHUNKS;
-    args->chunk = length < TILE_ROWS ? TILE_ROWS : length;
+    HG_TRY(prepare_bf16(ctx, args));
+    args->chunk = ((args->rows + CHUNKS - 1) / CHUNKS + TILE_ROWS - 1) / TILE_ROWS * TILE_ROWS; /* whole tiles */
     int64_t chunks = (args->rows + args->chunk - 1) / args->chunk, weights = args->n_in * args->n_out;
     hg_tensor *scratch =
         hg_tensor_make(ctx, args->dtype, 2, (int64_t[]){ hg_ctx_threads(ctx), TILE_ROWS * args->n_out });

@@ -41,9 +41,11 @@ static hg_tensor *make(hg_ctx *ctx, int64_t rows, int64_t columns, double scale,
 
 int main(int n, char **arguments)
 {
+    const bool half = n > 3;
     int64_t rows = n > 1 ? atoll(arguments[1]) : 3000, frames = n > 2 ? atoll(arguments[2]) : 1;
     hg_ctx *ctx;
     if (hg_ctx_create(&ctx, NULL) != HG_OK) return fprintf(stderr, "%s\n", hg_message()), 1;
+    if (half && hg_ctx_compute(ctx, HG_BF16) != HG_OK) return fprintf(stderr, "%s\n", hg_message()), 1;
     hg_tensor *all = make(ctx, rows * frames, STRAND + FRAME, 1, false), *strand = make(ctx, rows, STRAND, 1, false);
     hg_tensor *frame = make(ctx, frames, FRAME, 1, false);
     hg_tensor *w0 = make(ctx, STRAND + FRAME, WIDTH, 0.05, true), *b0 = make(ctx, WIDTH, 0, 0.05, true);

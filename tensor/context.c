@@ -46,7 +46,19 @@ void hg_ctx_destroy(hg_ctx *ctx)
 uint64_t hg_ctx_seed(const hg_ctx *ctx) { return ctx->seed; }
 int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
 const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
+hg_dtype hg_ctx_compute_dtype(const hg_ctx *ctx) { return ctx->compute; }
 void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
+
+hg_status hg_ctx_compute(hg_ctx *ctx, hg_dtype dtype)
+{
+    if (dtype != HG_F32 && dtype != HG_BF16)
+        return hg_fail(HG_INVALID, "compute in %s: f32 and bf16 are possible", hg_dtype_name(dtype));
+    if (dtype == HG_BF16 && !hg_cpu_has_bf16())
+        return hg_fail(HG_UNSUPPORTED, "compute in bf16: this processor has no bf16 instructions (avx512_bf16), so f32 "
+                                       "would be faster; use f32");
+    ctx->compute = dtype;
+    return HG_OK;
+}
 
 /* Each call is kept once. Floors with state of their own use these: eight is plenty, a ninth is told. */
 #define ADD_HOOK(list_, what_)                                                                                         \

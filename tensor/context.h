@@ -10,6 +10,7 @@ struct hg_ctx {
     const hg_device *device;
     int threads;
     uint64_t seed;
+    hg_dtype compute;
     /* Two arenas: descriptors and host scratch are always host memory, tensor data is the device's. */
     hg_arena host, data;
     bool guard;

@@ -26,6 +26,10 @@ size_t hg_cpu_product_workspace(hg_dtype dtype, bool transpose_a, int64_t m, int
 hg_status hg_cpu_product(int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n,
                          int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta,
                          void *c, int64_t ldc, void *workspace);
+/* tensor/cpu/product_bf16.c: c = op(a) op(b), or c += that; factors bf16, sums f32, on the calling thread */
+bool hg_cpu_has_bf16(void);
+void hg_cpu_product_bf16(bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k, const uint16_t *a,
+                         int64_t lda, const uint16_t *b, int64_t ldb, bool add, float *c, int64_t ldc);
 hg_status hg_cpu_launch(int threads, const hg_kernel *kernel, int64_t n, const void *args);
 
 #endif

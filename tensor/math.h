@@ -87,6 +87,17 @@ static inline float hg_sqrt_f32(float x) { return sqrtf(x); }
 static inline double hg_sqrt_f64(double x) { return sqrt(x); }
 
 /* GELU in its tanh form (Hendrycks and Gimpel 2016), x sigmoid(2u) with u = sqrt(2 / pi) (x + 0.044715 x^3). */
+/* Round to nearest even; NaN stays NaN. As hg_bf16_from_f32, many at a time. */
+static inline void hg_bf16_of_f32(int64_t n, const float *restrict from, uint16_t *restrict to)
+{
+#pragma omp simd
+    for (int64_t i = 0; i < n; i++) {
+        const uint32_t bits = (uint32_t)hg_bits_of_float(from[i]);
+        const uint32_t rounded = (bits + 0x7fffu + (bits >> 16 & 1u)) >> 16, quiet = bits >> 16 | 0x40u;
+        to[i] = (uint16_t)((bits & 0x7fffffffu) > 0x7f800000u ? quiet : rounded);
+    }
+}
+
 #define HG_GELU_SCALE 1.5957691216057308 /* 2 sqrt(2 / pi) */
 #define HG_GELU_CUBE  0.044715
 

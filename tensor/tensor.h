@@ -61,6 +61,11 @@ hg_status   hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...) 
 uint64_t    hg_ctx_seed(const hg_ctx *ctx);
 int         hg_ctx_threads(const hg_ctx *ctx);
 const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu" */
+/* In what the factors of a layer's products (hg_linear of more than 256 rows, forward and both gradients) are rounded:
+ * HG_F32 (default) or HG_BF16, summed in f32 either way; tensors, weights and everything else stay f32. HG_UNSUPPORTED where
+ * the processor has no bf16 instructions: then it stays HG_F32. */
+hg_status   hg_ctx_compute(hg_ctx *ctx, hg_dtype dtype);
+hg_dtype    hg_ctx_compute_dtype(const hg_ctx *ctx);
 void      **hg_ctx_tape(hg_ctx *ctx);                            /* autograd's slot */
 
 /* Remembers the caller for messages: #define hg_add(ctx, a, b) (hg_add)(hg_at(ctx, __FILE__, __LINE__), a, b) */
@@ -121,7 +126,8 @@ hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void 
 hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
                      double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
 
-/* Inside a kernel's cpu body: the same product on the calling thread alone, f32 and f64 (nothing else is asked for). */
+/* Inside a kernel's cpu body: the same product on the calling thread alone, f32 and f64 (nothing else is asked for).
+ * HG_BF16: A and B are bf16, C is f32, alpha is 1 and beta 0 or 1. */
 void hg_product_here(hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
                      double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
 int  hg_worker(void);                                            /* inside a kernel: which of hg_ctx_threads() is running, for scratch */

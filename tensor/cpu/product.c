@@ -65,6 +65,8 @@ void hg_product_here(hg_dtype dtype, bool ta, bool tb, int64_t m, int64_t n, int
         product_f32(ta, tb, m, n, k, (float)alpha, a, lda, b, ldb, (float)beta, c, ldc);
     else if (dtype == HG_F64)
         product_f64(ta, tb, m, n, k, alpha, a, lda, b, ldb, beta, c, ldc);
+    else if (dtype == HG_BF16)
+        hg_cpu_product_bf16(ta, tb, m, n, k, a, lda, b, ldb, beta != 0, c, ldc);
     else if (dtype == HG_F32) /* an empty sum */
         for (int64_t i = 0; i < m; i++)
             for (int64_t j = 0; j < n; j++) {
