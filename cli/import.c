@@ -105,19 +105,6 @@ static hg_status read_similarity(const char *text, hg_similarity *similarity)
     return HG_OK;
 }
 
-/* To metres, +Y up. */
-static void to_world(float *points, int64_t count, double unit, bool z_up)
-{
-    for (int64_t i = 0; i < count; i++) {
-        float *p = points + 3 * i, y = p[1];
-        if (z_up) {
-            p[1] = p[2];
-            p[2] = -y;
-        }
-        for (int k = 0; k < 3; k++) p[k] = (float)(unit * (double)p[k]);
-    }
-}
-
 static void say_dropped(const hg_groom_report *report)
 {
     printf("strands: %lld in the file, %lld kept", (long long)report->strands, (long long)report->kept);
@@ -125,10 +112,9 @@ static void say_dropped(const hg_groom_report *report)
         const char *what;
         int64_t count;
     } dropped[] = { { "bald (one vertex or none)", report->bald },
-                    { "broken", report->broken },
                     { "of zero length", report->zero_length },
                     { "not finite", report->non_finite } };
-    for (int i = 0; i < 4; i++)
+    for (int i = 0; i < 3; i++)
         if (dropped[i].count > 0) printf(", %lld dropped: %s", (long long)dropped[i].count, dropped[i].what);
     printf("\n");
 }
@@ -161,7 +147,8 @@ static hg_status get_similarity(hg_ctx *ctx, const hg_arguments *arguments, cons
     if (!find) return HG_OK;
     hg_mesh *mesh = NULL;
     HG_TRY(hg_mesh_read_obj(&mesh, source));
-    to_world(mesh->points, mesh->vertices, unit, z_up);
+    hg_curves_to_world(&(hg_curves){ .strands = 1, .start = (int64_t[]){ 0, mesh->vertices }, .points = mesh->points },
+                       unit, z_up);
     hg_status status = hg_fit_similarity(ctx, body, mesh->vertices, mesh->points, groom, similarity);
     hg_mesh_destroy(mesh);
     return status;
@@ -195,7 +182,7 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     status = hg_body_load(&body, body_path);
     if (status == HG_OK) status = hg_curves_read(&curves, path);
     if (status == HG_OK) {
-        to_world(curves->points, curves->start[curves->strands], unit, z_up);
+        hg_curves_to_world(curves, unit, z_up);
         status = of_file(hg_groom_from_curves(&groom, curves, vertices, &read), path);
     }
     if (status == HG_OK) status = get_similarity(ctx, arguments, body, groom, unit, z_up, &similarity);

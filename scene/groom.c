@@ -5,8 +5,6 @@
 #include <string.h>
 
 #define GROOM_FORMAT "hairgrad groom"
-#define SHORTEST     1e-6 /* m; a strand below this has no direction, and rest lengths are never divided by less */
-#define REPEATS      1e-9 /* m; two points nearer than this are one */
 
 hg_status hg_groom_create(hg_groom **groom, int64_t strands, int64_t vertices)
 {
@@ -67,7 +65,7 @@ static hg_status groom_check(const hg_groom *g, const char *path)
                                "%s: strand %lld, vertex %lld is not finite; import the groom again, which drops and "
                                "counts such strands",
                                path, (long long)s, (long long)(i / 3));
-        if (scene_length(p, v) < SHORTEST)
+        if (scene_length(p, v) < SCENE_SHORTEST)
             return hg_fail(HG_NUMERIC,
                            "%s: strand %lld has no length; import the groom again, which drops and counts such strands",
                            path, (long long)s);
@@ -150,88 +148,5 @@ hg_status hg_groom_save(const hg_groom *groom, const char *path)
     hg_status status = groom_write(file, groom);
     if (status == HG_OK) return hg_h5_commit(file);
     hg_h5_close(file);
-    return status;
-}
-
-/* ---- from curves -------------------------------------------------------------------------------------------- */
-
-void hg_curves_destroy(hg_curves *curves)
-{
-    if (!curves) return;
-    hg_free(curves->start);
-    hg_free(curves->points);
-    hg_free(curves);
-}
-
-typedef enum { STRAND_KEPT, STRAND_BALD, STRAND_BROKEN, STRAND_ZERO_LENGTH, STRAND_NON_FINITE } strand_kind;
-
-static strand_kind strand_classify(const float *points, int64_t n)
-{
-    double extent = 0;
-    if (n == 0) return STRAND_BALD;
-    for (int64_t i = 0; i < 3 * n; i++)
-        if (!isfinite(points[i])) return STRAND_NON_FINITE;
-    if (n == 1) return STRAND_BROKEN;
-    for (int64_t i = 1; i < n; i++)
-        extent = fmax(extent, hg_vec3d_distance(scene_point(points), scene_point(points + 3 * i)));
-    return scene_length(points, n) < SHORTEST || extent < 2 * REPEATS ? STRAND_ZERO_LENGTH : STRAND_KEPT;
-}
-
-/* Leaves out points that repeat the one before. */
-static int64_t strand_points(const float *points, int64_t n, double *out)
-{
-    int64_t kept = 0;
-    for (int64_t i = 0; i < n; i++) {
-        hg_vec3d p = scene_point(points + 3 * i);
-        if (kept == 0 || hg_vec3d_distance(p, hg_vec3d_load(out + 3 * (kept - 1))) >= REPEATS)
-            hg_vec3d_store(out + 3 * kept++, p);
-    }
-    return kept;
-}
-
-hg_status hg_groom_from_curves(hg_groom **groom, const hg_curves *curves, int64_t vertices, hg_groom_report *report)
-{
-    hg_groom_report counted = { .strands = curves->strands };
-    int64_t longest = 0;
-    *groom = NULL;
-    for (int64_t s = 0; s < curves->strands; s++) {
-        int64_t first = curves->start[s], n = curves->start[s + 1] - first;
-        if (n > longest) longest = n;
-        switch (strand_classify(curves->points + 3 * first, n)) {
-        case STRAND_KEPT:
-            counted.kept++;
-            break;
-        case STRAND_BALD:
-            counted.bald++;
-            break;
-        case STRAND_BROKEN:
-            counted.broken++;
-            break;
-        case STRAND_ZERO_LENGTH:
-            counted.zero_length++;
-            break;
-        case STRAND_NON_FINITE:
-            counted.non_finite++;
-            break;
-        }
-    }
-    if (report) *report = counted;
-    if (counted.kept == 0)
-        return hg_fail(HG_INVALID,
-                       "no strand is left of %lld: %lld without vertices, %lld with one vertex, %lld of zero length, "
-                       "%lld not finite",
-                       (long long)counted.strands, (long long)counted.bald, (long long)counted.broken,
-                       (long long)counted.zero_length, (long long)counted.non_finite);
-    double *points = hg_alloc((size_t)longest, 3 * sizeof *points);
-    if (!points) return HG_MEMORY;
-    hg_status status = hg_groom_create(groom, counted.kept, vertices);
-    for (int64_t s = 0, kept = 0; status == HG_OK && s < curves->strands; s++) {
-        const float *from = curves->points + 3 * curves->start[s];
-        int64_t n = curves->start[s + 1] - curves->start[s];
-        if (strand_classify(from, n) != STRAND_KEPT) continue;
-        n = strand_points(from, n, points);
-        scene_resample(points, n, vertices, (*groom)->points + 3 * vertices * kept++);
-    }
-    hg_free(points);
     return status;
 }

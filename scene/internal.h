@@ -50,6 +50,13 @@ static inline hg_vec3d scene_point(const float p[3]) { return hg_vec3d_make((dou
 
 static inline void scene_put(float to[3], hg_vec3d p) { hg_vec3f_store(to, hg_vec3f_from_d(p)); }
 
+/* What is wrong with a strand of n points in metres, if anything. */
+typedef enum { STRAND_KEPT, STRAND_BALD, STRAND_ZERO_LENGTH, STRAND_NON_FINITE } scene_strand_kind;
+scene_strand_kind scene_strand_classify(const float *points, int64_t n);
+/* Leaves out points that repeat the one before; out [n,3], returns how many stay. */
+int64_t scene_strand_points(const float *points, int64_t n, double *out);
+#define SCENE_SHORTEST 1e-6 /* m; a strand below this has no direction, and rest lengths are never divided by less */
+
 double scene_length(const float *points, int64_t vertices); /* of a strand, along it */
 
 hg_status scene_motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate);

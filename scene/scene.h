@@ -38,16 +38,32 @@ typedef struct {
     uint64_t body_hash;       /* of the body it is bound to, 0: none */
 } hg_groom;
 
-typedef struct { int64_t strands, kept, bald, broken, zero_length, non_finite; } hg_groom_report; /* what a reader dropped */
+typedef struct { int64_t strands, kept, bald /* one vertex or none */, zero_length, non_finite; } hg_groom_report; /* what was found, and dropped */
 
 hg_status hg_groom_create(hg_groom **groom, int64_t strands, int64_t vertices);
 void      hg_groom_destroy(hg_groom *groom);
 hg_status hg_groom_load(hg_groom **groom, const char *path);                      /* .h5 */
 hg_status hg_groom_save(const hg_groom *groom, const char *path);
 uint64_t  hg_groom_hash(const hg_groom *groom);
-/* Ragged strands as a reader finds them. */
-typedef struct { int64_t strands; int64_t *start /* [S+1] */; float *points /* [start[S],3] */; } hg_curves;
+/* Ragged strands as a reader finds them, root first, in the file's own unit and axes. What follows the points is NULL (0)
+ * where the file does not have it. */
+typedef struct {
+    int64_t  strands;
+    int64_t *start;           /* [S+1] */
+    float   *points;          /* [start[S],3] */
+    float   *root_uv;         /* [S,2] */
+    int32_t *root_face;       /* [S] of a groom of ours that is bound to a body */
+    float   *root_bary;       /* [S,3] */
+    uint64_t body_hash;
+} hg_curves;
+hg_status hg_curves_create(hg_curves **curves, int64_t strands, int64_t points); /* zeroed; start is to be filled */
 void      hg_curves_destroy(hg_curves *curves);
+hg_status hg_curves_select(hg_curves *curves, int64_t n, const int64_t *strand);  /* these strands, ascending, stay */
+hg_status hg_curves_clean(hg_curves *curves, hg_groom_report *report);            /* drops bald, zero-length (metres are meant) and non-finite ones */
+hg_status hg_curves_resample(hg_curves *curves, int64_t vertices);                /* of clean curves; as hg_groom_from_curves does it */
+void      hg_curves_to_world(hg_curves *curves, double unit, bool z_up);          /* times unit; +Z up, facing -Y, becomes +Y up, facing +Z */
+void      hg_curves_from_world(hg_curves *curves, double unit, bool z_up);        /* the other way */
+hg_status hg_groom_to_curves(hg_curves **curves, const hg_groom *groom);
 /* By arc length on a centripetal Catmull-Rom curve; drops and counts one-vertex, zero-length and non-finite strands. */
 hg_status hg_groom_from_curves(hg_groom **groom, const hg_curves *curves, int64_t vertices, hg_groom_report *report);
 
@@ -135,8 +151,26 @@ hg_status hg_fit_groom(hg_ctx *ctx, hg_groom *groom, const hg_body *body, const 
 /* ---- readers ------------------------------------------------------------------------------------------------ */
 
 /* A reader is one file that registers itself under the kind and extension it reads. */
-typedef struct { const char *extension, *what; hg_status (*read)(hg_curves **curves, const char *path); } hg_groom_reader;      /* kind "groom reader" */
+typedef struct {
+    const char *extension, *what;
+    hg_status (*read)(hg_curves **curves, const char *path);
+    const char *unit;                                                             /* what the numbers usually are, for messages; NULL: nothing is known */
+    hg_status (*read_frame)(hg_curves **curves, const char *path, int64_t frame); /* of a file that moves; NULL: it does not */
+    bool metres;                                                                  /* the file knows its unit and axes: metres, +Y up when read */
+} hg_groom_reader;                                                                /* kind "groom reader" */
+const hg_groom_reader *hg_groom_reader_find(const char *path);                    /* by extension, in either case; NULL and a message that lists the known */
 hg_status hg_curves_read(hg_curves **curves, const char *path);                   /* by extension; unknown: lists the known */
+hg_status hg_curves_read_frame(hg_curves **curves, const char *path, int64_t frame);
+
+/* A writer is one file too. Root first; a strand that the format cannot hold is an error that names it. */
+typedef struct {
+    const char *extension, *what;
+    const char *variants;                                                         /* "4|3", the usual one first; NULL: there is one */
+    hg_status (*write)(const hg_curves *curves, const char *path, const char *variant /* one of them; NULL when there is one */);
+    bool metres;                                                                  /* the format says metres, +Y up */
+} hg_groom_writer;                                                                /* kind "groom writer" */
+const hg_groom_writer *hg_groom_writer_find(const char *path);
+hg_status hg_curves_write(const hg_curves *curves, const char *path, const char *variant /* NULL: the usual one */);
 
 typedef struct { int64_t vertices, faces; float *points /* [N,3] */, *uv /* [N,2] of the vertex's first corner; NULL: none */; int32_t *triangles /* [F,3] */;
                  int32_t *polygon /* [F] of the file that a triangle was cut from, ascending */; char **group; int32_t *group_of_face /* [F], -1: none */; int n_groups; } hg_mesh; /* .obj; polygons are cut as a fan from their first corner: quads at the diagonal 0-2 */

@@ -104,6 +104,106 @@ static const char small_tfx2[] = "version 2.0\nscale 1\nrotation 0 0 0\nnumStran
                                  "strand 0 numVerts 3 texcoord 0.1 0.2\n0.0, 0.0, 0.0\n0.0, 1.0, 0.0\n0.0, 2.0, 0.5\n"
                                  "strand 1 numVerts 2 texcoord 0.3 0.4\n1.0, 0.0, 0.0\n1.0, 1.0, 0.25\n";
 
+/* ---- other strands: a bald one, one of 3 points and one of 2, a step up for every point --------------------------- */
+
+static inline void small_point(uint32_t strand, uint32_t point, float x[3])
+{
+    x[0] = (float)strand, x[1] = 0.25F * (float)point, x[2] = -0.5F;
+}
+
+static const uint32_t small_counts[3] = { 1, 3, 2 };
+
+/* Yuksel's .hair; ragged: with segments and every other array, else 2 strands of 3 points and no array but the points. */
+static inline size_t small_hair(bool ragged, uint8_t bytes[1024])
+{
+    uint32_t head[5] = { 0x52494148, ragged ? 3 : 2, 6, ragged ? 31 : 2, ragged ? 0 : 2 };
+    size_t size = 128;
+    memset(bytes, 0, 1024);
+    memcpy(bytes, head, sizeof head);
+    for (int s = 0; ragged && s < 3; s++, size += 2) {
+        uint16_t segments = (uint16_t)(small_counts[s] - 1);
+        memcpy(bytes + size, &segments, 2);
+    }
+    for (uint32_t s = 0; s < head[1]; s++)
+        for (uint32_t p = 0; p < (ragged ? small_counts[s] : 3); p++, size += 12) {
+            float x[3];
+            small_point(s, p, x);
+            memcpy(bytes + size, x, 12);
+        }
+    return size + (ragged ? 6 * 20 : 0);
+}
+
+/* .data (width 3) and .bin (width 7) */
+static inline size_t small_data(size_t width, uint8_t bytes[1024])
+{
+    uint32_t strands = 3;
+    size_t size = 4;
+    memset(bytes, 0, 1024);
+    memcpy(bytes, &strands, 4);
+    for (uint32_t s = 0; s < strands; s++) {
+        memcpy(bytes + size, &small_counts[s], 4);
+        size += 4;
+        for (uint32_t p = 0; p < small_counts[s]; p++, size += 4 * width) {
+            float x[3];
+            small_point(s, p, x);
+            memcpy(bytes + size, x, 12);
+        }
+    }
+    return size;
+}
+
+enum { SMALL_PLYS = 6 };
+#define SMALL_PLY_POINTS "0 0 -0.5\n1 0 -0.5\n1 0.25 -0.5\n1 0.5 -0.5\n2 0 -0.5\n2 0.25 -0.5\n"
+#define SMALL_PLY_HEAD                                                                                                 \
+    "ply\nformat ascii 1.0\ncomment six points\nelement vertex 6\nproperty float x\nproperty float y\nproperty float " \
+    "z\n"
+static const char *const small_ply[SMALL_PLYS] = {
+    SMALL_PLY_HEAD "element edge 3\nproperty int vertex1\nproperty int vertex2\nend_header\n" SMALL_PLY_POINTS
+                   "4 5\n1 2\n2 3\n",
+    SMALL_PLY_HEAD
+    "element edge 3\nproperty int vertex1\nproperty int vertex2\nproperty uchar red\nend_header\n" SMALL_PLY_POINTS
+    "4 5 0\n2 1 0\n2 3 0\n",
+    SMALL_PLY_HEAD "element strand 3\nproperty ushort nsegs\nend_header\n" SMALL_PLY_POINTS "0\n2\n1\n",
+    SMALL_PLY_HEAD "element polyline 3\nproperty list uchar int vertex_indices\nend_header\n" SMALL_PLY_POINTS
+                   "1 0\n3 1 2 3\n2 4 5\n",
+    "ply\r\nformat ascii 1.0\r\nelement camera 2\r\nproperty list uchar float view\r\nelement vertex 6\r\nproperty int "
+    "strand_index\r\n"
+    "property double x\r\nproperty double y\r\nproperty double z\r\nend_header\r\n2 1 1\r\n0\r\n"
+    "7 1 0 -0.5\r\n3 0 0 -0.5\r\n9 2 0 -0.5\r\n7 1 0.25 -0.5\r\n9 2 0.25 -0.5\r\n7 1 0.5 -0.5\r\n",
+    SMALL_PLY_HEAD
+    "element line 3\nproperty uchar kind\nproperty list int uint vertex_index\nend_header\n" SMALL_PLY_POINTS
+    "0 1 0\n0 3 1 2 3\n0 2 4 5\n",
+};
+
+/* The same with edges, in binary. */
+static inline size_t small_ply_binary(bool big_endian, uint8_t bytes[1024])
+{
+    static const uint32_t edges[6] = { 4, 5, 1, 2, 2, 3 };
+    size_t size =
+        (size_t)snprintf((char *)bytes, 1024,
+                         "ply\nformat binary_%s_endian 1.0\nelement vertex 6\nproperty float x\nproperty float y\n"
+                         "property float z\nproperty short label\nelement edge 3\nproperty int vertex1\n"
+                         "property int vertex2\nend_header\n",
+                         big_endian ? "big" : "little");
+    for (int word = 0; word < 18 + 6 + 6; word++) {
+        static const uint32_t strand[6] = { 0, 1, 1, 1, 2, 2 }, point[6] = { 0, 0, 1, 2, 0, 1 };
+        uint32_t bits = 0;
+        float x[3];
+        size_t width = 4;
+        if (word < 24) {
+            small_point(strand[word / 4], point[word / 4], x);
+            if (word % 4 < 3)
+                memcpy(&bits, &x[word % 4], 4);
+            else
+                bits = 0xfffe, width = 2;
+        } else {
+            bits = edges[word - 24];
+        }
+        for (size_t i = 0; i < width; i++) bytes[size++] = (uint8_t)(bits >> 8 * (big_endian ? width - 1 - i : i));
+    }
+    return size;
+}
+
 /* ---- a body of MakeHuman's kind: a box where the head is, joint cubes, 4 bones ----------------------------------- */
 
 static const char small_obj[] =
