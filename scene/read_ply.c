@@ -8,6 +8,7 @@
 #include "scene/scene.h"
 
 #include <math.h>
+#include <stdlib.h>
 #include <string.h>
 
 typedef struct {
@@ -53,9 +54,9 @@ static hg_status read_vertices(ply *file, const ply_element *element, cloud *c)
         for (int k = 0; k < 3; k++) c->points[3 * i + k] = (float)file->value[at[k]];
         if (index < 0) continue;
         double strand = file->value[index];
-        if (!(strand >= 0 && strand < (double)element->count && strand == floor(strand)))
-            return hg_fail(HG_FORMAT, "%s: vertex %lld is of strand %g, expected 0 to %lld", file->lines.path,
-                           (long long)i, strand, (long long)element->count - 1);
+        if (!(strand >= 0 && strand < 0x1p53 && strand == floor(strand)))
+            return hg_fail(HG_FORMAT, "%s: vertex %lld is of strand %g, expected a number from 0 on", file->lines.path,
+                           (long long)i, strand);
         c->index[i] = (int64_t)strand;
     }
     return HG_OK;
@@ -208,26 +209,35 @@ static hg_status strands_of_edges(const char *path, cloud *c)
     return status;
 }
 
-/* Counting sort by strand; numbers that no vertex has are no strands. */
+typedef struct {
+    int64_t strand, vertex;
+} numbered;
+
+static int compare(const void *a, const void *b)
+{
+    const numbered *p = a, *q = b;
+    if (p->strand != q->strand) return p->strand < q->strand ? -1 : 1;
+    return p->vertex < q->vertex ? -1 : p->vertex > q->vertex;
+}
+
+/* Strand numbers may have gaps, and the vertices of a strand need not lie together. */
 static hg_status strands_of_index(cloud *c)
 {
-    int64_t *place = hg_alloc((size_t)c->vertices + 1, sizeof *place), sum = 0;
+    numbered *all = hg_alloc((size_t)c->vertices, sizeof *all);
     c->order = hg_alloc((size_t)c->vertices, sizeof *c->order);
     c->start = hg_alloc((size_t)c->vertices + 1, sizeof *c->start);
-    if (!place || !c->order || !c->start) {
-        hg_free(place);
+    if (!all || !c->order || !c->start) {
+        hg_free(all);
         return HG_MEMORY;
     }
-    for (int64_t i = 0; i < c->vertices; i++) place[c->index[i]]++;
+    for (int64_t i = 0; i < c->vertices; i++) all[i] = (numbered){ c->index[i], i };
+    qsort(all, (size_t)c->vertices, sizeof *all, compare);
     c->strands = 0;
-    for (int64_t s = 0; s < c->vertices; s++) {
-        int64_t count = place[s];
-        place[s] = sum;
-        sum += count;
-        if (count > 0) c->start[++c->strands] = sum;
+    for (int64_t i = 0; i < c->vertices; i++) {
+        c->order[i] = all[i].vertex;
+        if (i + 1 == c->vertices || all[i + 1].strand != all[i].strand) c->start[++c->strands] = i + 1;
     }
-    for (int64_t i = 0; i < c->vertices; i++) c->order[place[c->index[i]]++] = i;
-    hg_free(place);
+    hg_free(all);
     return HG_OK;
 }
 

@@ -246,8 +246,8 @@ static void bad_ply_is_refused(void **state)
         { HEAD VERTEX "element line 1\nproperty list char int vertex_indices\nend_header\n" POINTS "-2 0 3\n", "b.ply",
           "a list of -2" },
         { HEAD "element vertex 1\nproperty int strand\nproperty float x\nproperty float y\nproperty float z\n"
-               "end_header\n7 0 0 0\n",
-          "b.ply", "vertex 0 is of strand 7" },
+               "end_header\n-7 0 0 0\n",
+          "b.ply", "vertex 0 is of strand -7" },
     };
     hg_curves *curves;
     for (size_t i = 0; i < sizeof files / sizeof *files; i++) {
