@@ -128,6 +128,28 @@ hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame 
 int        hg_physics_terms(const hg_physics *physics);
 const hg_term *hg_physics_term(const hg_physics *physics, int i);
 
+/* ---- energies on arrays of a file --------------------------------------------------------------------------- */
+
+/* What `hairgrad loss` does: reads from an HDF5 file the datasets that the energies' formulas ask for, and writes the value
+ * (`energy`, f64, unweighted; with more than one also `energy_NAME`) and gradients (`grad_x`, `grad_NAME`, in dtype, in the
+ * shape of what was given). docs/formats.md lists the datasets. Resets the step. */
+#define HG_LOSS_GRADIENTS 48
+typedef struct {
+    const char *energies;                    /* "stretch", or "stretch+gravity" */
+    hg_dtype dtype;                          /* HG_F32 or HG_F64 */
+    int n_set; const char *const *set;       /* "stiffness=2 N/m", "strain=smooth", "g=0,-9.81,0", "stretch.stiffness=2" */
+    const char *wrt;                         /* "x,stiffness"; NULL: x */
+} hg_loss_options;
+typedef struct { char name[128], shape[96]; double norm, largest; } hg_loss_gradient;
+typedef struct {
+    double energy;
+    int n; struct { const char *name; double energy; } term[8];
+    int n_gradients; hg_loss_gradient gradient[HG_LOSS_GRADIENTS];
+    int64_t frames, strands, vertices;
+    char backend[64], unread[512];           /* unread: datasets that no formula asked for, "a, b" */
+} hg_loss_result;
+hg_status hg_loss_run(hg_ctx *ctx, const char *in, const char *out, const hg_loss_options *options, hg_loss_result *result);
+
 #ifdef __cplusplus
 }
 #endif
