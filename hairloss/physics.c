@@ -297,6 +297,11 @@ const char *hg_physics_backend_name(const hg_physics *physics)
     return physics->strands[0] ? hg_strand_pass_backend_name(physics->strands[0]) : "interpreter";
 }
 
+const char *hg_physics_backend_note(const hg_physics *physics)
+{
+    return physics->strands[0] ? hg_strand_pass_backend_note(physics->strands[0]) : "";
+}
+
 /* ---- a frame ------------------------------------------------------------------------------------------------ */
 
 static hg_status check(const hg_physics *p, const hg_tensor *tensor, const char *name, int rank, const int64_t *shape)

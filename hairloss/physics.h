@@ -60,6 +60,7 @@ void hg_strand_pass_destroy(hg_strand_pass *pass);
 /* level: "avx512", "avx2", "sse4", "plain": that one only; NULL: the best that the processor has. */
 hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level);
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass);
+const char *hg_strand_pass_backend_note(const hg_strand_pass *pass); /* why, how long */
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
 /* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient is SET (NULL: not wanted).
  * unweighted[column[i]] and per_strand[.. * stride + column[i]] are set. */

@@ -1,6 +1,6 @@
 /* The strand pass of a physics: keeps what is computed once per groom, chooses the kernel (printed when the library was
  * built, or the interpreter), and runs it over tiles of strands. */
-#include "autograd/trace/strand.h"
+#include "autograd/trace/compile.h"
 #include "hairloss/physics.h"
 
 #include <omp.h>
@@ -15,7 +15,7 @@ struct hg_strand_pass {
     int32_t *column;
     hg_strand_program *program;
     const hg_strand_kernel_entry *compiled; /* NULL: interpreted */
-    char backend[48];
+    char backend[80], note[256];
     int lanes;
     int64_t tiles;             /* per frame */
     void *site, *groom_strand; /* made once per groom, in the tile layout of the kernel */
@@ -29,6 +29,8 @@ struct hg_strand_pass {
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass) { return pass->program->hash; }
 
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass) { return pass->backend; }
+
+const char *hg_strand_pass_backend_note(const hg_strand_pass *pass) { return pass->note; }
 
 /* ---- once per groom ----------------------------------------------------------------------------------------- */
 
@@ -166,31 +168,45 @@ static hg_status prepare(hg_strand_pass *p, hg_ctx *ctx, const hg_strand_kernel_
     p->compiled = compiled;
     p->lanes = compiled ? compiled->lanes : hg_strand_lanes(p->dtype);
     p->tiles = (p->data->strands + p->lanes - 1) / p->lanes;
-    if (compiled)
-        snprintf(p->backend, sizeof p->backend, "compiled %s", compiled->level);
-    else
-        snprintf(p->backend, sizeof p->backend, "interpreter");
     HG_TRY(make_groom(p, ctx, program->site, program->n_site, p->data->vertices, &p->site));
     HG_TRY(make_groom(p, ctx, program->groom_strand, program->n_groom_strand, 1, &p->groom_strand));
     p->threads = 0;
     return make_scratch(p, ctx);
 }
 
+/* A groom of fewer vertices is interpreted where no kernel was printed for it: a second of the compiler is never won back. */
+enum { WORTH_COMPILING = 10000 };
+
 hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level)
 {
     const hg_strand_kernel_entry *compiled =
         backend == HG_BACKEND_INTERPRETER ? NULL : find_compiled(pass->program, level);
+    const bool worth = pass->data->grooms * pass->data->strands * pass->data->vertices >= WORTH_COMPILING;
+    hg_compiled_kernel now = { 0 };
+    pass->note[0] = '\0';
+    if (!compiled && !level && (backend == HG_BACKEND_COMPILED || (backend == HG_BACKEND_AUTO && worth))) {
+        if (hg_strand_compile(pass->program, &now) == HG_OK)
+            compiled = now.kernel;
+        else
+            snprintf(pass->note, sizeof pass->note, "%s", hg_message());
+        if (now.seconds > 0)
+            snprintf(pass->note, sizeof pass->note, "compiled in %.1f s and kept in the cache", now.seconds);
+    }
     if (backend == HG_BACKEND_COMPILED && !compiled) {
         hg_text names = { 0 };
         for (int i = 0; i < pass->n; i++) hg_text_add(&names, "%s%s", i ? " + " : "", pass->terms[i].energy->name);
         hg_status status =
-            hg_fail(HG_UNSUPPORTED,
-                    "no kernel was printed for the sum %s (%s, with these options) when this library was "
-                    "built for this processor; the interpreter runs it",
-                    names.data ? names.data : "", hg_dtype_name(pass->dtype));
+            hg_fail(HG_UNSUPPORTED, "there is no compiled kernel for %s (%s): %s; the interpreter runs it",
+                    names.data ? names.data : "", hg_dtype_name(pass->dtype),
+                    level ? "none was printed when this library was built" : pass->note);
         hg_text_free(&names);
         return status;
     }
+    if (!compiled)
+        snprintf(pass->backend, sizeof pass->backend, "interpreter");
+    else
+        snprintf(pass->backend, sizeof pass->backend, "compiled %s%s%s", compiled->level, now.kernel ? " by " : "",
+                 now.by);
     if (pass->compiled == compiled && pass->scratch) return HG_OK;
     return prepare(pass, ctx, compiled);
 }

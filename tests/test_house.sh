@@ -14,7 +14,7 @@ if git rev-parse --git-dir >/dev/null 2>&1; then git ls-files --cached --others 
 else find . -type f ! -path './.git/*' ! -path './build*' ! -path './out/*' ! -path './bare-out/*' | sed 's|^\./||' >"$work/files"; fi
 sort -u "$work/files" | while read -r file; do [ -f "$file" ] && echo "$file"; done >"$work/there"
 code=$(grep -E '\.(c|h|inc)$' "$work/there")
-library=$(echo "$code" | grep -E '^(base|tensor|geometry|autograd|hairloss|models|scene|train|solvers|tasks|export)/' | grep -v '^hairloss/generate_kernels.c$')
+library=$(echo "$code" | grep -E '^(base|tensor|geometry|autograd|hairloss|models|scene|train|solvers|tasks|export)/' | grep -vE '/generate_[a-z]*\.c$')
 
 # Floors, ground first; folders of one floor do not know each other.
 # shellcheck disable=SC2086

@@ -1,0 +1,44 @@
+/* Puts text files into the library:
+ *
+ *     generate_texts OUT.c NAME FILE... [-- NAME FILE...]...
+ *
+ * gives `const char NAME[]`, the files one after the other without the lines that include each other (#include "..."). A
+ * NAME that ends in "=" is kept as it is, includes and all. Run while the library is built. */
+#include <stdio.h>
+#include <string.h>
+
+static int put_file(FILE *to, const char *path, int whole)
+{
+    FILE *from = fopen(path, "r");
+    if (!from) return 0;
+    char line[4096];
+    while (fgets(line, sizeof line, from)) {
+        if (!whole && strncmp(line, "#include \"", 10) == 0) continue;
+        for (const char *at = line; *at; at++) fprintf(to, "%d,", *at);
+        fputc('\n', to);
+    }
+    return fclose(from) == 0;
+}
+
+int main(int count, char **words)
+{
+    FILE *to = count > 1 ? fopen(words[1], "w") : NULL;
+    if (!to) {
+        fprintf(stderr, "usage: generate_texts OUT.c NAME FILE... [-- NAME FILE...]...\n");
+        return 1;
+    }
+    fprintf(to, "/* Made by base/generate_texts.c. */\n");
+    for (int i = 2; i < count; i++) {
+        const size_t length = strlen(words[i]);
+        const int whole = length > 0 && words[i][length - 1] == '=';
+        fprintf(to, "extern const char %.*s[];\nconst char %.*s[] = {\n", (int)length - whole, words[i],
+                (int)length - whole, words[i]);
+        for (i++; i < count && strcmp(words[i], "--") != 0; i++)
+            if (!put_file(to, words[i], whole)) {
+                fprintf(stderr, "generate_texts: %s cannot be read\n", words[i]);
+                return 1;
+            }
+        fprintf(to, "0 };\n");
+    }
+    return fclose(to) == 0 ? 0 : 1;
+}
