@@ -91,7 +91,7 @@ struct hg_hair_task {
     hg_ctx *ctx;
     hg_config *config;
     uint64_t config_hash, seed;
-    char *folder, *backend, *start_from; /* start_from: a checkpoint; NULL: none */
+    char *folder, *backend, *backend_note, *start_from; /* start_from: a checkpoint; NULL: none */
     bool opened;                         /* a finished run: nothing is trained or written */
 
     hg_body *body;

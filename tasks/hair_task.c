@@ -362,6 +362,7 @@ static hg_train_options train_options(const hg_hair_task *task)
     options.folder = task->folder;
     options.config_hash = task->config_hash;
     options.backend = task->backend;
+    options.backend_note = task->backend_note;
     return options;
 }
 
@@ -391,7 +392,8 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .load = load,
                             .start = start };
     task->backend = hg_strdup(hg_physics_backend_name(task->subset.physics)); /* outlives a subset drawn anew */
-    if (!task->backend) return HG_MEMORY;
+    task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
+    if (!task->backend || !task->backend_note) return HG_MEMORY;
     task->options = train_options(task);
     return HG_OK;
 }
@@ -454,6 +456,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
     hg_free(task->validation_batch);
     hg_free(task->folder);
     hg_free(task->backend);
+    hg_free(task->backend_note);
     hg_free(task->start_from);
     hg_config_destroy(task->config);
     hg_free(task);

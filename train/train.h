@@ -54,6 +54,7 @@ typedef struct {
     bool allow_other_backend;
     uint64_t config_hash;                  /* a resume on another config is refused */
     const char *backend;                   /* logged; a resume on another one is refused unless allowed */
+    const char *backend_note;              /* logged beside it: why it is interpreted, how long it took to compile; NULL or "": nothing */
     bool (*stop)(void *);  void *stop_self; /* asked once a step; true: checkpoint and return (signal handlers) */
 } hg_train_options;
 

@@ -275,6 +275,8 @@ static hg_status prepare(run *r)
     HG_TRY(hg_run_log_open(&r->log, folder, r->state.step));
     if (r->options->tensorboard) HG_TRY(hg_events_open(&r->events, folder, r->state.step));
     if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
+    if (r->options->backend_note && r->options->backend_note[0])
+        HG_TRY(hg_run_log_note(r->log, r->state.step, "backend_note", r->options->backend_note));
     if (r->options->minutes > 0)
         HG_TRY(hg_run_log_note(r->log, r->state.step, "note",
                                "a time limit steers the learning rate: this run cannot be repeated bit for bit"));
