@@ -200,7 +200,7 @@ static hg_status make_others(hg_physics *p)
         if (!other->kind)
             return hg_fail(HG_UNSUPPORTED, "energy '%s' needs the %s pass, which this build does not have",
                            p->terms[t].energy->name, site == HG_SITE_PAIRS ? "pairs" : "field");
-        const hg_pass_setup setup = { p->ctx, p->dtype, p->terms[t], &p->data };
+        const hg_pass_setup setup = { p->ctx, p->dtype, p->terms[t], &p->data, t };
         HG_TRY(other->kind->create(&other->self, &setup));
         p->n_others++;
     }

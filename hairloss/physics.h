@@ -16,6 +16,7 @@ typedef struct {
     hg_dtype dtype;
     hg_term term;              /* params and options are complete: defaults filled in, in the order of the energy */
     const hg_groom_data *data; /* the physics' own copy; mass and n_attributes as given, mass never NULL */
+    int number;                /* of the term in the physics */
 } hg_pass_setup;
 
 /* A value of this call that is not the groom's or the term's own, resolved by physics, and where its gradient goes. */

@@ -3,6 +3,12 @@
  *     field_i = sum over j within reach, i itself included, of m_j W(|x_i - x_j|),     E = sum_i f(field_i)
  *     dE/dx_i = sum_j (f'_i m_j + f'_j m_i) W'(r) (x_i - x_j) / r
  *
+ * and, where they are asked for, with W_ij = W(|x_i - x_j|; theta),
+ *
+ *     dE/dtheta = sum_i f'_i sum_j m_j dW_ij/dtheta,     dE/dm_j = sum_i f'_i W_ij,
+ *
+ * both also through the field at rest, where that is made of the rest groom and not given.
+ *
  * Vertices are sorted into cells once per evaluation. Two walks over the neighbours follow, for the sums and for the
  * gradient; neighbours are found again in the second, which is cheaper than writing millions of them to memory and
  * reading them back, and vertices whose density is at rest have nothing to do in it. Distances are gathered over many
@@ -10,7 +16,7 @@
  * threads write to one place, and the order of sums is fixed. */
 #include "geometry/scan.h"
 #include "geometry/vector.h"
-#include "hairloss/pass_inputs.h"
+#include "hairloss/physics_pass.h"
 
 #include <math.h>
 #include <string.h>
@@ -23,19 +29,32 @@ enum {
 };
 
 typedef struct {
-    hg_function *kernel, *kernel_slope, *function; /* W; W with W'; f with f' */
+    hg_pass pass;
+    hg_function *kernel, *kernel_slope, *kernel_full; /* W; W with W'; W with its slope in every param */
+    hg_function *function, *full;                     /* f with f'; f with its slope in every input */
     hg_pass_inputs kernel_inputs, inputs;
-    int kernel_distance, field_input, field_rest_input, mass_input, attribute_input[HG_PASS_ATTRIBUTES];
-    int n_attributes;
-    hg_dtype dtype;
-    double weight, radius;
-    bool weighs; /* kernel_mass: kg */
-    int64_t grooms, strands, vertices;
+    int kernel_distance, field, field_rest; /* numbers of inputs */
+    int reach;                              /* the param that is half the support */
+    double radius;                          /* the support of this call */
+    uint32_t kernel_params;                 /* bit of each param that the kernel asks for */
+    bool weighs;                            /* kernel_mass: kg */
     hg_cells cells;
-    void *mass_values, *attribute_values[HG_PASS_ATTRIBUTES], *field_rest; /* [G,n] */
-    void *field, *slope, *slope_place, *mass_place;                        /* [n] of the frame at work */
-    double *strand_energies;                                               /* [S] */
+    void *own_rest;                                             /* [G,n] the field at rest; of this call: */
+    void *rest_now;                                             /* [G,n], made when first needed */
+    bool *rest_made;                                            /* [G] */
+    void *sums, *slope, *rest_slope, *slope_place, *mass_place; /* [n] of the frame at work */
+    double *theta_place; /* [n] what a place leaves for the derivative of a param of the kernel */
 } field_pass;
+
+/* Is the rest field made of what this call brings? */
+static bool rest_follows(const field_pass *pass)
+{
+    const hg_pass *base = &pass->pass;
+    if (base->source[HG_PASS_FIELD_REST].given || hg_groom_attribute_find(base->data, "density_rest")) return false;
+    bool follows = base->source[HG_PASS_REST].given || (pass->weighs && base->source[HG_PASS_MASS].given);
+    for (int p = 0; p < HG_ENERGY_PARAMS; p++) follows |= (pass->kernel_params >> p & 1) && base->source[p].given;
+    return follows;
+}
 
 #define HG_P(name)    HG_JOIN(name, _, HG_SUFFIX)
 #define hg_real       double
@@ -58,117 +77,110 @@ static void field_destroy(void *self)
 {
     field_pass *pass = self;
     if (!pass) return;
-    hg_function_destroy(pass->kernel);
-    hg_function_destroy(pass->kernel_slope);
-    hg_function_destroy(pass->function);
+    hg_function *functions[] = { pass->kernel, pass->kernel_slope, pass->kernel_full, pass->function, pass->full };
+    for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) hg_function_destroy(functions[i]);
     hg_cells_free(&pass->cells);
-    hg_free(pass->mass_values);
-    for (int a = 0; a < HG_PASS_ATTRIBUTES; a++) hg_free(pass->attribute_values[a]);
-    hg_free(pass->field_rest);
-    hg_free(pass->field);
-    hg_free(pass->slope);
-    hg_free(pass->slope_place);
-    hg_free(pass->mass_place);
-    hg_free(pass->strand_energies);
+    void *arrays[] = { pass->own_rest,   pass->rest_now,    pass->rest_made,  pass->sums,       pass->slope,
+                       pass->rest_slope, pass->slope_place, pass->mass_place, pass->theta_place };
+    for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
+    hg_pass_free(&pass->pass);
     hg_free(pass);
 }
 
-static hg_status make_functions(field_pass *pass, const hg_pass_setup *setup)
+static hg_status make_kernel(field_pass *pass)
 {
-    const hg_energy *energy = setup->term.energy;
+    const hg_energy *energy = pass->pass.term.energy;
+    hg_pass_inputs *inputs = &pass->kernel_inputs;
     hg_trace_scope scope;
-    hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_FIELD_KERNEL);
-    pass->kernel_distance = hg_pass_inputs_add(&pass->kernel_inputs, (hg_input){ .kind = HG_INPUT_DISTANCE }, 0.0);
-    hg_pass_inputs_add_uniform(&pass->kernel_inputs, &setup->term);
-    HG_TRY(hg_function_create(&pass->kernel, energy->kernel, &scope, 0, NULL, pass->kernel_inputs.n,
-                              pass->kernel_inputs.inputs));
-    HG_TRY(hg_function_create(&pass->kernel_slope, energy->kernel, &scope, 1, &pass->kernel_distance,
-                              pass->kernel_inputs.n, pass->kernel_inputs.inputs));
-
-    hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_FIELD);
-    uint32_t kinds = 0;
-    char *attributes[HG_PASS_ATTRIBUTES] = { NULL };
-    HG_TRY(hg_formula_inputs(energy->trace, &scope, &kinds, &pass->n_attributes, attributes));
-    hg_pass_inputs *inputs = &pass->inputs;
-    pass->field_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD }, 0.0);
-    pass->field_rest_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD_REST }, 0.0);
-    pass->mass_input = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_MASS }, 0.0);
-    for (int a = 0; a < pass->n_attributes; a++)
-        pass->attribute_input[a] =
-            hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .name = (int16_t)a }, 0.0);
-    hg_pass_inputs_add_uniform(inputs, &setup->term);
-    hg_status status = hg_pass_attributes(setup, pass->grooms * pass->strands * pass->vertices, pass->n_attributes,
-                                          attributes, pass->attribute_values);
-    if (status == HG_OK)
-        status = hg_function_create_named(&pass->function, energy->trace, &scope, 1, &pass->field_input, inputs->n,
-                                          inputs->inputs, pass->n_attributes, (const char *const *)attributes);
-    for (int a = 0; a < pass->n_attributes; a++) hg_free(attributes[a]);
-    return status;
+    int wrt[HG_PASS_INPUTS];
+    hg_term_scope(&scope, &pass->pass.term, 0, HG_ALLOW_FIELD_KERNEL);
+    pass->kernel_distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_DISTANCE }, -1, 0);
+    hg_pass_inputs_add_uniform(inputs, &pass->pass, false);
+    for (int i = 0; i < inputs->n; i++) wrt[i] = i; /* output 1 + i is the slope in input i */
+    HG_TRY(hg_function_create(&pass->kernel, energy->kernel, &scope, 0, NULL, inputs->n, inputs->inputs));
+    HG_TRY(hg_function_create(&pass->kernel_slope, energy->kernel, &scope, 1, &pass->kernel_distance, inputs->n,
+                              inputs->inputs));
+    HG_TRY(hg_function_create(&pass->kernel_full, energy->kernel, &scope, inputs->n, wrt, inputs->n, inputs->inputs));
+    return hg_pass_asked_params(&scope, energy->kernel, &pass->kernel_params);
 }
 
-/* The rest field: given, or the same sums over the rest groom, in double whatever the pass. */
-static hg_status make_rest(field_pass *pass, const hg_pass_setup *setup)
+static hg_status make_function(field_pass *pass)
 {
-    const hg_groom_data *data = setup->data;
-    int64_t n = pass->strands * pass->vertices;
+    const hg_energy *energy = pass->pass.term.energy;
+    hg_pass_inputs *inputs = &pass->inputs;
+    hg_trace_scope scope;
+    int wrt[HG_PASS_INPUTS];
+    hg_term_scope(&scope, &pass->pass.term, 0, HG_ALLOW_FIELD);
+    pass->field = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD }, -1, 0);
+    pass->field_rest = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_FIELD_REST }, -1, 0);
+    hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_MASS }, HG_PASS_MASS, 0);
+    for (int a = 0; a < pass->pass.n_attributes; a++)
+        hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .name = (int16_t)a }, HG_PASS_ATTRIBUTE + a,
+                           0);
+    hg_pass_inputs_add_uniform(inputs, &pass->pass, true);
+    for (int i = 0; i < inputs->n; i++) wrt[i] = i;
+    const char *const *attributes = (const char *const *)pass->pass.attributes;
+    HG_TRY(hg_function_create_named(&pass->function, energy->trace, &scope, 1, &pass->field, inputs->n, inputs->inputs,
+                                    pass->pass.n_attributes, attributes));
+    return hg_function_create_named(&pass->full, energy->trace, &scope, inputs->n, wrt, inputs->n, inputs->inputs,
+                                    pass->pass.n_attributes, attributes);
+}
+
+/* The rest field of the groom itself: given, or the same sums over the rest groom, in double whatever the pass. */
+static hg_status make_rest(field_pass *pass, hg_ctx *ctx)
+{
+    const hg_groom_data *data = pass->pass.data;
+    const int64_t n = data->strands * data->vertices;
     const double *given = hg_groom_attribute_find(data, "density_rest");
-    if (given) {
-        pass->field_rest = hg_pass_values(pass->dtype, pass->grooms * n, given);
-        return pass->field_rest ? HG_OK : HG_MEMORY;
+    double *rest = NULL;
+    hg_status status = HG_OK;
+    if (!given) {
+        rest = hg_alloc((size_t)(data->grooms * n) + 1, sizeof *rest);
+        if (!rest) return HG_MEMORY;
+        for (int64_t g = 0; g < data->grooms && status == HG_OK; g++)
+            status = make_field_d(pass, ctx, data->rest + 3 * g * n, data->mass + g * n, rest + g * n);
+        hg_cells_free(&pass->cells);
     }
-    hg_status status = HG_MEMORY;
-    void *masses = pass->mass_values; /* of the pass' own precision; lent out while the sums are made in double */
-    void *mass_place = pass->mass_place;
-    double *rest = hg_alloc((size_t)(pass->grooms * n) + 1, sizeof *rest);
-    pass->mass_values = hg_pass_values(HG_F64, pass->grooms * n, data->mass);
-    pass->mass_place = hg_alloc((size_t)n + 1, sizeof(double));
-    if (rest && pass->mass_values && pass->mass_place) {
-        status = HG_OK;
-        for (int64_t g = 0; g < pass->grooms && status == HG_OK; g++) {
-            field_args_d args = { .pass = pass,
-                                  .groom = g,
-                                  .cells = &pass->cells,
-                                  .mass = pass->weighs ? pass->mass_place : NULL,
-                                  .field = rest + g * n };
-            status = make_field_d(pass, setup->ctx, &args, data->rest + 3 * g * n);
-        }
-    }
-    hg_free(pass->mass_values);
-    hg_free(pass->mass_place);
-    hg_cells_free(&pass->cells);
-    pass->mass_values = masses;
-    pass->mass_place = mass_place;
-    if (status == HG_OK) {
-        pass->field_rest = hg_pass_values(pass->dtype, pass->grooms * n, rest);
-        if (!pass->field_rest) status = HG_MEMORY;
-    }
+    if (status == HG_OK) pass->own_rest = hg_pass_values(pass->pass.dtype, data->grooms * n, given ? given : rest);
     hg_free(rest);
-    return status;
+    return status != HG_OK ? status : pass->own_rest ? HG_OK : HG_MEMORY;
+}
+
+static hg_status set_reach(field_pass *pass)
+{
+    const double reach = pass->pass.source[pass->reach].uniform;
+    if (!(reach > 0.0) || !isfinite(reach))
+        return hg_fail(HG_INVALID, "%s: %s is %g m; it has to be positive", pass->pass.term.energy->name,
+                       pass->pass.term.energy->reach, reach);
+    pass->radius = 2.0 * reach;
+    hg_pass_inputs_fill(&pass->kernel_inputs, &pass->pass);
+    hg_pass_inputs_fill(&pass->inputs, &pass->pass);
+    return HG_OK;
 }
 
 static hg_status field_make(field_pass *pass, const hg_pass_setup *setup)
 {
     const hg_energy *energy = setup->term.energy;
-    size_t n = (size_t)(pass->strands * pass->vertices) + 1, real = hg_dtype_size(pass->dtype);
-    double reach = energy->reach ? hg_term_param(&setup->term, energy->reach) : 0.0;
-    if (!energy->kernel || !energy->reach)
+    uint32_t kinds;
+    HG_TRY(hg_pass_create(&pass->pass, setup, HG_ALLOW_FIELD, &kinds));
+    pass->pass.run_frame = setup->dtype == HG_F32 ? run_frame_f : run_frame_d;
+    pass->reach = hg_pass_param(&pass->pass, energy->reach);
+    if (!energy->kernel || pass->reach < 0)
         return hg_fail(HG_INVALID, "%s: a field energy needs a kernel and a reach", energy->name);
-    if (!(reach > 0.0) || !isfinite(reach))
-        return hg_fail(HG_INVALID, "%s: %s is %g m; it has to be positive", energy->name, energy->reach, reach);
-    pass->radius = 2.0 * reach;
     const char *kernel_mass = hg_term_option(&setup->term, "kernel_mass");
     pass->weighs = kernel_mass && strcmp(kernel_mass, "kg") == 0;
-    pass->mass_values = hg_pass_values(pass->dtype, pass->grooms * pass->strands * pass->vertices, setup->data->mass);
-    pass->field = hg_alloc(n, real);
-    pass->slope = hg_alloc(n, real);
-    pass->slope_place = hg_alloc(n, real);
-    pass->mass_place = hg_alloc(n, real);
-    pass->strand_energies = hg_alloc((size_t)pass->strands + 1, sizeof *pass->strand_energies);
-    if (!pass->mass_values || !pass->field || !pass->slope || !pass->slope_place || !pass->mass_place ||
-        !pass->strand_energies)
-        return HG_MEMORY;
-    HG_TRY(make_functions(pass, setup));
-    return make_rest(pass, setup);
+    const size_t n = (size_t)(pass->pass.strands * pass->pass.vertices) + 1, real = sizeof(double);
+    void **arrays[] = { &pass->sums, &pass->slope, &pass->rest_slope, &pass->slope_place, &pass->mass_place };
+    for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)
+        if (!(*arrays[i] = hg_alloc(n, real))) return HG_MEMORY;
+    pass->rest_made = hg_alloc((size_t)pass->pass.grooms, sizeof *pass->rest_made);
+    if (!pass->rest_made) return HG_MEMORY;
+    HG_TRY(make_kernel(pass));
+    HG_TRY(make_function(pass));
+    pass->pass.uniform_only = pass->kernel_params | 1u << pass->reach;
+    HG_TRY(hg_pass_begin(&pass->pass, &(hg_frame){ 0 }, 0, NULL));
+    HG_TRY(set_reach(pass));
+    return make_rest(pass, setup->ctx);
 }
 
 static hg_status field_create(void **self, const hg_pass_setup *setup)
@@ -176,11 +188,6 @@ static hg_status field_create(void **self, const hg_pass_setup *setup)
     *self = NULL;
     field_pass *pass = hg_alloc(1, sizeof *pass);
     if (!pass) return HG_MEMORY;
-    pass->dtype = setup->dtype;
-    pass->weight = setup->term.weight;
-    pass->grooms = setup->data->grooms;
-    pass->strands = setup->data->strands;
-    pass->vertices = setup->data->vertices;
     hg_status status = field_make(pass, setup);
     if (status != HG_OK) {
         field_destroy(pass);
@@ -195,18 +202,20 @@ static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const
                            int64_t stride)
 {
     field_pass *pass = self;
-    pass->inputs.uniform[pass->inputs.dt] = frame->dt;
-    (void)n_values;
-    (void)values;
-    pass->kernel_inputs.uniform[pass->kernel_inputs.dt] = frame->dt;
-    *unweighted = 0.0;
-    for (int64_t b = 0; b < x->shape[0]; b++) {
-        double *strand_energies = per_strand ? per_strand + b * pass->strands * stride : NULL;
-        HG_TRY(pass->dtype == HG_F32
-                   ? run_frame_f(pass, ctx, frame, x, b, gradient, unweighted, strand_energies, stride)
-                   : run_frame_d(pass, ctx, frame, x, b, gradient, unweighted, strand_energies, stride));
+    hg_pass *base = &pass->pass;
+    const size_t n = (size_t)(base->strands * base->vertices);
+    HG_TRY(hg_pass_begin(base, frame, n_values, values));
+    HG_TRY(set_reach(pass));
+    if (rest_follows(pass) && !pass->rest_now) {
+        pass->rest_now = hg_alloc((size_t)base->grooms * n + 1, hg_dtype_size(base->dtype));
+        if (!pass->rest_now) return hg_fail(HG_MEMORY, "out of memory for the field at rest");
     }
-    return HG_OK;
+    if (base->wants && !pass->theta_place) {
+        pass->theta_place = hg_alloc(n + 1, sizeof *pass->theta_place);
+        if (!pass->theta_place) return hg_fail(HG_MEMORY, "out of memory for the derivatives of a field");
+    }
+    for (int64_t g = 0; g < base->grooms; g++) pass->rest_made[g] = false;
+    return hg_pass_frames(pass, ctx, frame, x, gradient, unweighted, per_strand, stride);
 }
 
 static const hg_physics_pass field_physics_pass = { field_create, field_destroy, field_run };

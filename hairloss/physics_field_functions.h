@@ -4,16 +4,21 @@
 
 typedef struct {
     const field_pass *pass;
-    int64_t groom;
+    const hg_pass_frame *frame;
     const hg_cells *cells;
-    const hg_real *mass;       /* [places], NULL: all 1 */
-    const hg_real *field_rest; /* [n] */
-    hg_real *field;            /* [n] sum over neighbours */
-    hg_real *slope;            /* [n] dE/dfield, times the weight */
-    hg_real *slope_place;      /* [places] the same in the order of places */
-    hg_real *gradient;         /* [n,3] of this frame */
-    double *strand_energies;   /* [S] */
+    const hg_real *mass;        /* [places], NULL: all 1 */
+    const hg_real *vertex_mass; /* [n] what it is made of */
+    const hg_real *field_rest;  /* [n] */
+    hg_real *field;             /* [n] sum over neighbours */
+    const hg_real *slope;       /* [n] dE/dfield, times the weight */
+    hg_real *slope_place;       /* [places] the same in the order of places */
+    hg_real *gradient;          /* [n,3] in the positions */
+    hg_real *mass_gradient;     /* [n] in the masses of the kernel */
+    int theta;                  /* input of the kernel whose derivative is summed, */
+    double *theta_place;        /* [places] of every place */
 } HG_P(field_args);
+
+typedef enum { HG_P(WALK_FIELD), HG_P(WALK_GRADIENT), HG_P(WALK_THETA), HG_P(WALK_MASS) } HG_P(walk_kind);
 
 /* Hits of several points, one after another, until there are enough lanes to be worth a run of the kernel function. */
 typedef struct {
@@ -55,17 +60,21 @@ static inline void HG_P(gather)(const hg_cells *cells, int64_t place, int32_t fi
     to->n += n;
 }
 
-/* Value or derivative of the kernel at every gathered distance. */
-static void HG_P(run_kernel)(const field_pass *pass, HG_P(gathered) * hits, bool derivative)
+/* The kernel at every gathered distance: its value, W'/r (what the difference of positions is multiplied with; nothing at
+ * r = 0), or its derivative in an input. */
+static void HG_P(run_kernel)(const field_pass *pass, HG_P(gathered) * hits, HG_P(walk_kind) kind, int theta)
 {
-    for (int k = 0; k < hits->n; k++) hits->value[k] = HG_MATH(sqrt)(hits->value[k]);
     const void *in[HG_PASS_INPUTS] = { NULL };
-    in[pass->kernel_distance] = hits->value;
     hg_real out[LANES];
-    void *outs[2] = { derivative ? NULL : out, out };
-    hg_function_run(derivative ? pass->kernel_slope : pass->kernel, HG_TYPE, hits->n, in, pass->kernel_inputs.uniform,
-                    outs);
-    if (derivative) { /* W'/r: what the difference of positions is multiplied with; at r = 0 nothing */
+    void *outs[HG_PASS_INPUTS + 1] = { NULL };
+    const hg_function *function = kind == HG_P(WALK_GRADIENT) ? pass->kernel_slope
+                                  : kind == HG_P(WALK_THETA)  ? pass->kernel_full
+                                                              : pass->kernel;
+    outs[kind == HG_P(WALK_GRADIENT) ? 1 : kind == HG_P(WALK_THETA) ? 1 + theta : 0] = out;
+    for (int k = 0; k < hits->n; k++) hits->value[k] = HG_MATH(sqrt)(hits->value[k]);
+    in[pass->kernel_distance] = hits->value;
+    hg_function_run(function, HG_TYPE, hits->n, in, pass->kernel_inputs.uniform, outs);
+    if (kind == HG_P(WALK_GRADIENT)) {
         for (int k = 0; k < hits->n; k++) hits->value[k] = hits->value[k] > 0 ? out[k] / hits->value[k] : 0;
     } else {
         memcpy(hits->value, out, (size_t)hits->n * sizeof *out);
@@ -74,7 +83,7 @@ static void HG_P(run_kernel)(const field_pass *pass, HG_P(gathered) * hits, bool
 
 static void HG_P(flush_field)(const HG_P(field_args) * a, HG_P(gathered) * hits)
 {
-    HG_P(run_kernel)(a->pass, hits, false);
+    HG_P(run_kernel)(a->pass, hits, HG_P(WALK_FIELD), 0);
     hits->first[hits->n_owners] = hits->n;
     for (int o = 0; o < hits->n_owners; o++) {
         int first = hits->first[o], n = hits->first[o + 1] - first;
@@ -88,7 +97,7 @@ static void HG_P(flush_field)(const HG_P(field_args) * a, HG_P(gathered) * hits)
 static void HG_P(flush_gradient)(const HG_P(field_args) * a, HG_P(gathered) * hits)
 {
     const hg_real *x = a->cells->x, *y = a->cells->y, *z = a->cells->z;
-    HG_P(run_kernel)(a->pass, hits, true);
+    HG_P(run_kernel)(a->pass, hits, HG_P(WALK_GRADIENT), 0);
     hits->first[hits->n_owners] = hits->n;
     for (int o = 0; o < hits->n_owners; o++) {
         int32_t i = hits->owner[o];
@@ -110,8 +119,37 @@ static void HG_P(flush_gradient)(const HG_P(field_args) * a, HG_P(gathered) * hi
     hits->n = hits->n_owners = 0;
 }
 
-/* Walks the neighbours of all places of a block; `gradient` chooses what is done with them. */
-static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, bool gradient)
+/* theta: slope_i sum_j m_j dW_ij/dtheta of every place i. mass: sum_j slope_j W_ij, which is dE/dm_i. */
+static void HG_P(flush_other)(const HG_P(field_args) * a, HG_P(gathered) * hits, HG_P(walk_kind) kind)
+{
+    const hg_real *factor = kind == HG_P(WALK_THETA) ? a->mass : a->slope_place;
+    HG_P(run_kernel)(a->pass, hits, kind, a->theta);
+    hits->first[hits->n_owners] = hits->n;
+    for (int o = 0; o < hits->n_owners; o++) {
+        const int32_t i = hits->owner[o];
+        double sum = 0.0;
+        for (int k = hits->first[o]; k < hits->first[o + 1]; k++)
+            sum += (double)hits->value[k] * (factor ? (double)factor[hits->place[k]] : 1.0);
+        if (kind == HG_P(WALK_THETA))
+            a->theta_place[i] += sum * (double)a->slope_place[i];
+        else
+            a->mass_gradient[a->cells->index[i]] += (hg_real)sum;
+    }
+    hits->n = hits->n_owners = 0;
+}
+
+static void HG_P(flush)(const HG_P(field_args) * a, HG_P(gathered) * hits, HG_P(walk_kind) kind)
+{
+    if (kind == HG_P(WALK_FIELD))
+        HG_P(flush_field)(a, hits);
+    else if (kind == HG_P(WALK_GRADIENT))
+        HG_P(flush_gradient)(a, hits);
+    else
+        HG_P(flush_other)(a, hits, kind);
+}
+
+/* Walks the neighbours of all places of a block; `kind` chooses what is done with them. */
+static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, HG_P(walk_kind) kind)
 {
     const hg_cells *cells = a->cells;
     const hg_real radius = (hg_real)a->pass->radius, radius2 = radius * radius;
@@ -120,21 +158,20 @@ static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, 
     int n_runs = 0;
     hits.n = hits.n_owners = 0;
     for (int64_t i = first; i < last; i++) {
+        if (kind == HG_P(WALK_THETA) && a->slope_place[i] == 0) continue;
         if (cells->cell[i] != cell) {
             cell = cells->cell[i];
             n_runs = hg_cells_runs(cells, cell, runs);
         }
         /* Where this vertex has no slope of its own, only neighbours that have one matter. */
-        const hg_real *only = gradient && a->slope_place[i] == 0 ? a->slope_place : NULL;
+        const hg_real *only =
+            kind == HG_P(WALK_MASS) || (kind == HG_P(WALK_GRADIENT) && a->slope_place[i] == 0) ? a->slope_place : NULL;
         bool open = false;
         for (int r = 0; r < n_runs; r++)
             for (int32_t from = runs[r][0]; from < runs[r][1]; from += HG_SCAN_PIECE) {
                 int32_t to = runs[r][1] - from < HG_SCAN_PIECE ? runs[r][1] : from + HG_SCAN_PIECE;
                 if (hits.n + (to - from) + HG_CELL_PAD > LANES || (!open && hits.n_owners == OWNERS)) {
-                    if (gradient)
-                        HG_P(flush_gradient)(a, &hits);
-                    else
-                        HG_P(flush_field)(a, &hits);
+                    HG_P(flush)(a, &hits, kind);
                     open = false;
                 }
                 if (!open) {
@@ -145,22 +182,31 @@ static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, 
                 HG_P(gather)(cells, i, from, to, radius2, only, &hits);
             }
     }
-    if (gradient)
-        HG_P(flush_gradient)(a, &hits);
-    else
-        HG_P(flush_field)(a, &hits);
+    HG_P(flush)(a, &hits, kind);
 }
 
 static void HG_P(sum_field)(const void *args, int64_t first, int64_t last)
 {
     const HG_P(field_args) *a = args;
     for (int64_t i = first; i < last; i++) a->field[a->cells->index[i]] = 0;
-    HG_P(walk)(a, first, last, false);
+    HG_P(walk)(a, first, last, HG_P(WALK_FIELD));
 }
 
 static void HG_P(gather_gradient)(const void *args, int64_t first, int64_t last)
 {
-    HG_P(walk)(args, first, last, true);
+    HG_P(walk)(args, first, last, HG_P(WALK_GRADIENT));
+}
+
+static void HG_P(sum_theta)(const void *args, int64_t first, int64_t last)
+{
+    const HG_P(field_args) *a = args;
+    for (int64_t i = first; i < last; i++) a->theta_place[i] = 0;
+    HG_P(walk)(a, first, last, HG_P(WALK_THETA));
+}
+
+static void HG_P(gather_mass)(const void *args, int64_t first, int64_t last)
+{
+    HG_P(walk)(args, first, last, HG_P(WALK_MASS));
 }
 
 /* The function of the sum, over whole strands. */
@@ -168,25 +214,52 @@ static void HG_P(evaluate_field)(const void *args, int64_t first, int64_t last)
 {
     const HG_P(field_args) *a = args;
     const field_pass *pass = a->pass;
-    int64_t groom_start = a->groom * pass->strands * pass->vertices;
+    const hg_pass *base = &pass->pass;
+    const hg_pass_inputs *inputs = &pass->inputs;
+    const int64_t V = base->vertices, groom = a->frame->groom * base->strands * V;
+    const hg_real weight = (hg_real)base->term.weight;
     for (int64_t s = first; s < last; s++) {
-        double sum = 0.0;
-        for (int64_t v = 0; v < pass->vertices; v += CHUNK) {
-            int64_t n = pass->vertices - v < CHUNK ? pass->vertices - v : CHUNK, at = s * pass->vertices + v;
+        double uniform[HG_PASS_INPUTS], sum = 0.0;
+        memcpy(uniform, inputs->uniform, sizeof uniform);
+        for (int i = 0; i < inputs->n; i++)
+            if (inputs->source[i] >= 0 && base->source[inputs->source[i]].shape == HG_PASS_STRAND)
+                uniform[i] = (double)((const hg_real *)base->source[inputs->source[i]]
+                                          .values)[a->frame->frame * base->strands + s];
+        for (int64_t v = 0; v < V; v += CHUNK) {
+            const int64_t n = V - v < CHUNK ? V - v : CHUNK, at = s * V + v;
             const void *in[HG_PASS_INPUTS] = { NULL };
-            hg_real energy[CHUNK];
-            in[pass->field_input] = a->field + at;
-            in[pass->field_rest_input] = a->field_rest + at;
-            in[pass->mass_input] = (const hg_real *)pass->mass_values + groom_start + at;
-            for (int k = 0; k < pass->n_attributes; k++)
-                in[pass->attribute_input[k]] = (const hg_real *)pass->attribute_values[k] + groom_start + at;
-            hg_function_run(pass->function, HG_TYPE, n, in, pass->inputs.uniform, (void *[]){ energy, a->slope + at });
+            hg_real energy[CHUNK], slopes[HG_PASS_INPUTS][CHUNK], *slope = (hg_real *)pass->slope + at,
+                                                                  *rest_slope = (hg_real *)pass->rest_slope + at;
+            void *out[HG_PASS_INPUTS + 1] = { energy, slope };
+            in[pass->field] = a->field + at;
+            in[pass->field_rest] = a->field_rest + at;
+            for (int i = 0; i < inputs->n; i++) {
+                if (inputs->source[i] < 0) continue;
+                const hg_pass_source *source = &base->source[inputs->source[i]];
+                if (source->shape == HG_PASS_GROOM) in[i] = (const hg_real *)source->values + groom + at;
+                if (source->gradient) out[1 + i] = slopes[i];
+            }
+            if (base->wants) out[1 + pass->field_rest] = rest_slope;
+            hg_function_run(base->wants ? pass->full : pass->function, HG_TYPE, n, in, uniform, out);
             for (int64_t k = 0; k < n; k++) {
                 sum += (double)energy[k];
-                a->slope[at + k] *= (hg_real)pass->weight;
+                slope[k] *= weight;
             }
+            if (!base->wants) continue;
+            for (int64_t k = 0; k < n; k++) rest_slope[k] *= weight;
+            for (int i = 0; i < inputs->n; i++) {
+                const hg_pass_source *source = inputs->source[i] < 0 ? NULL : &base->source[inputs->source[i]];
+                if (!source || !source->gradient) continue;
+                if (source->shape == HG_PASS_GROOM)
+                    for (int64_t k = 0; k < n; k++)
+                        ((hg_real *)source->gradient)[groom + at + k] += weight * slopes[i][k];
+                else
+                    for (int64_t k = 0; k < n; k++) source->strands[s] += (double)weight * (double)slopes[i][k];
+            }
+            hg_real *given = base->source[HG_PASS_FIELD_REST].gradient;
+            for (int64_t k = 0; given && k < n; k++) given[groom + at + k] += rest_slope[k];
         }
-        a->strand_energies[s] = sum;
+        base->strand_energies[s] = sum;
     }
 }
 
@@ -199,57 +272,103 @@ static void HG_P(place_slopes)(const void *args, int64_t first, int64_t last)
 static void HG_P(place_masses)(const void *args, int64_t first, int64_t last)
 {
     const HG_P(field_args) *a = args;
-    const hg_real *from = (const hg_real *)a->pass->mass_values + a->groom * a->pass->strands * a->pass->vertices;
-    for (int64_t i = first; i < last; i++) ((hg_real *)a->pass->mass_place)[i] = from[a->cells->index[i]];
+    for (int64_t i = first; i < last; i++) ((hg_real *)a->pass->mass_place)[i] = a->vertex_mass[a->cells->index[i]];
 }
 
-/* The field of positions x [n,3] into pass->field; vertices that are not finite get none. */
-static hg_status HG_P(make_field)(field_pass *pass, hg_ctx *ctx, HG_P(field_args) * args, const hg_real *x)
+/* Cells of the positions x [n,3], and the masses in their order. */
+static hg_status HG_P(make_cells)(field_pass *pass, hg_ctx *ctx, HG_P(field_args) * args, const hg_real *x)
 {
     static const hg_kernel masses = {
         .name = "field_masses", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(place_masses), .block = PLACES
     };
+    HG_TRY(hg_cells_build(ctx, &pass->cells, HG_TYPE, pass->pass.strands * pass->pass.vertices, x, pass->radius));
+    return pass->weighs ? hg_launch(ctx, &masses, pass->cells.n, args) : HG_OK;
+}
+
+/* The field of positions x [n,3]; vertices that are not finite get none. */
+static hg_status HG_P(make_field)(field_pass *pass, hg_ctx *ctx, const hg_real *x, const hg_real *mass, hg_real *field)
+{
     static const hg_kernel sums = {
         .name = "field_sums", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(sum_field), .block = PLACES
     };
-    int64_t n = pass->strands * pass->vertices;
-    HG_TRY(hg_cells_build(ctx, &pass->cells, HG_TYPE, n, x, pass->radius));
-    if (pass->cells.n < n) memset(args->field, 0, (size_t)n * sizeof *args->field);
-    if (pass->weighs) HG_TRY(hg_launch(ctx, &masses, pass->cells.n, args));
-    return hg_launch(ctx, &sums, pass->cells.n, args);
+    const int64_t n = pass->pass.strands * pass->pass.vertices;
+    HG_P(field_args)
+    args = { .pass = pass, .cells = &pass->cells, .vertex_mass = mass, .field = field };
+    if (pass->weighs) args.mass = pass->mass_place;
+    HG_TRY(HG_P(make_cells)(pass, ctx, &args, x));
+    if (pass->cells.n < n) memset(field, 0, (size_t)n * sizeof *field);
+    return hg_launch(ctx, &sums, pass->cells.n, &args);
 }
 
-static hg_status HG_P(run_frame)(field_pass *pass, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int64_t b,
-                                 void *gradient, double *unweighted, double *strand_energies, int64_t stride)
+/* What follows from the slope of E in a field whose positions are in the cells: derivatives in the positions, in the
+ * params of the kernel and in its masses, as far as they are asked for. */
+static hg_status HG_P(chain_field)(field_pass *pass, hg_ctx *ctx, HG_P(field_args) * args)
 {
-    static const hg_kernel evaluate = {
-        .name = "field_evaluate", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(evaluate_field), .block = 64
-    };
     static const hg_kernel slopes = {
         .name = "field_slopes", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(place_slopes), .block = PLACES
     };
     static const hg_kernel gather = {
         .name = "field_gradient", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(gather_gradient), .block = PLACES
     };
-    int64_t n = pass->strands * pass->vertices, groom = frame->groom ? frame->groom[b] : 0;
-    HG_P(field_args)
-    args = { pass,
-             groom,
-             &pass->cells,
-             pass->weighs ? pass->mass_place : NULL,
-             (const hg_real *)pass->field_rest + groom * n,
-             pass->field,
-             pass->slope,
-             pass->slope_place,
-             gradient ? (hg_real *)gradient + 3 * n * b : NULL,
-             pass->strand_energies };
-    HG_TRY(HG_P(make_field)(pass, ctx, &args, (const hg_real *)x->data + 3 * n * b));
-    HG_TRY(hg_launch(ctx, &evaluate, pass->strands, &args));
-    for (int64_t s = 0; s < pass->strands; s++) {
-        *unweighted += pass->strand_energies[s];
-        if (strand_energies) strand_energies[s * stride] = pass->strand_energies[s];
+    static const hg_kernel thetas = {
+        .name = "field_params", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(sum_theta), .block = PLACES
+    };
+    static const hg_kernel weights = {
+        .name = "field_weights", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(gather_mass), .block = PLACES
+    };
+    const int64_t places = pass->cells.n;
+    HG_TRY(hg_launch(ctx, &slopes, places, args));
+    if (args->gradient) HG_TRY(hg_launch(ctx, &gather, places, args));
+    if (args->mass_gradient) HG_TRY(hg_launch(ctx, &weights, places, args));
+    for (int i = 0; i < pass->kernel_inputs.n; i++) {
+        const int param = pass->kernel_inputs.source[i];
+        if (param < 0 || !pass->pass.source[param].gradient || !(pass->kernel_params >> param & 1)) continue;
+        args->theta = i;
+        HG_TRY(hg_launch(ctx, &thetas, places, args));
+        for (int64_t k = 0; k < places; k++) pass->pass.source[param].sum += args->theta_place[k];
     }
-    if (!gradient) return HG_OK;
-    HG_TRY(hg_launch(ctx, &slopes, pass->cells.n, &args));
-    return hg_launch(ctx, &gather, pass->cells.n, &args);
+    return HG_OK;
+}
+
+static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *frame)
+{
+    static const hg_kernel evaluate = {
+        .name = "field_evaluate", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(evaluate_field), .block = 64
+    };
+    field_pass *pass = self;
+    const hg_pass *base = &pass->pass;
+    const int64_t n = base->strands * base->vertices, groom = frame->groom;
+    const hg_pass_source *mass = &base->source[HG_PASS_MASS], *rest = &base->source[HG_PASS_REST],
+                         *field_rest = &base->source[HG_PASS_FIELD_REST];
+    const bool follows = rest_follows(pass);
+    const hg_real *rest_x = (const hg_real *)rest->values + 3 * groom * n;
+    HG_P(field_args)
+    args = { .pass = pass,
+             .frame = frame,
+             .cells = &pass->cells,
+             .mass = pass->weighs ? pass->mass_place : NULL,
+             .vertex_mass = (const hg_real *)mass->values + groom * n,
+             .field = pass->sums,
+             .slope = pass->slope,
+             .slope_place = pass->slope_place,
+             .gradient = frame->gradient,
+             .mass_gradient = pass->weighs && mass->gradient ? (hg_real *)mass->gradient + groom * n : NULL,
+             .theta_place = pass->theta_place };
+    args.field_rest = (const hg_real *)(follows             ? pass->rest_now
+                                        : field_rest->given ? field_rest->values
+                                                            : pass->own_rest) +
+                      groom * n;
+    if (follows && !pass->rest_made[groom]) {
+        HG_TRY(HG_P(make_field)(pass, ctx, rest_x, args.vertex_mass, (hg_real *)pass->rest_now + groom * n));
+        pass->rest_made[groom] = true;
+    }
+    HG_TRY(HG_P(make_field)(pass, ctx, frame->x, args.vertex_mass, args.field));
+    HG_TRY(hg_launch(ctx, &evaluate, base->strands, &args));
+    if (!frame->gradient && !base->wants) return HG_OK;
+    HG_TRY(HG_P(chain_field)(pass, ctx, &args));
+    if (!follows || !base->wants) return HG_OK;
+    args.slope = pass->rest_slope;
+    args.gradient = rest->gradient ? (hg_real *)rest->gradient + 3 * groom * n : NULL;
+    HG_TRY(HG_P(make_cells)(pass, ctx, &args, rest_x));
+    return HG_P(chain_field)(pass, ctx, &args);
 }

@@ -1,33 +1,41 @@
 /* physics_pairs: energies over the pairs of a list, such as adhesion.
  *
- * Every pair is evaluated once, in lanes; its force is kept, and every vertex then gathers the forces of the pairs that
- * it takes part in, from either side: no two threads write to one place, and the order of sums is fixed. */
+ * Every pair is evaluated once, in lanes; its force and the derivatives that are asked for are kept, and every vertex then
+ * gathers those of the pairs that it takes part in, from either side: no two threads write to one place, and the order of
+ * sums is fixed. A pair counts for the strand of its first vertex.
+ *
+ * The list is made of the groom's own rest, whatever rest the frame gives: which vertices are near has no derivative. */
 #include "geometry/vector.h"
-#include "hairloss/pass_inputs.h"
+#include "hairloss/physics_pass.h"
 
 #include <math.h>
 
-enum { BLOCK = 512, GATHER = 1024 };
+enum { BLOCK = 512, STRANDS = 32 };
 
 typedef struct {
-    hg_function *function;
+    hg_pass pass;
+    hg_function *function, *full; /* value and slope in the distance; the same and the slope in every other input */
     hg_pass_inputs inputs;
-    int distance, rest_distance, mass[2],
-        attribute[HG_PASS_ATTRIBUTES][2]; /* numbers of inputs; mass -1: not asked for */
-    int n_attributes;
-    hg_dtype dtype;
-    double weight;
-    int64_t grooms, strands, vertices; /* of one groom: n = strands * vertices */
-    hg_pairs **pairs;                  /* [G] */
+    int distance, rest_distance;  /* numbers of inputs */
+    int slope_of[HG_PASS_INPUTS]; /* output of `full`; -1: none */
+    hg_pairs **pairs;             /* [G] */
     bool own_pairs;
+    int radius, count; /* the params that make the list, -1: none */
+    double radius_now, count_now;
     int64_t most_pairs;
-    void **rest_distances;                      /* [G] [M] */
-    void *mass_values;                          /* [G,n] */
-    void *attribute_values[HG_PASS_ATTRIBUTES]; /* [G,n] */
-    void *forces;                               /* [M,3] on the first of a pair, of the frame at work */
-    double *energies;                           /* [M] */
-    double *sums;                               /* of blocks of pairs */
+    void **rest_distances;        /* [G] [M], of the groom's own rest */
+    void *energies, *forces;      /* [M], [M,3] on the first of a pair, of the frame at work */
+    void *rest_forces;            /* [M,3] the same of rest; made when first asked for */
+    void *slopes[HG_PASS_INPUTS]; /* [M] derivatives in the inputs; made when first asked for */
 } pairs_pass;
+
+/* Is the derivative of input i asked for? */
+static bool wanted(const pairs_pass *pass, int i)
+{
+    if (pass->slope_of[i] < 0 || i == pass->distance) return false;
+    const int source = i == pass->rest_distance ? HG_PASS_REST : pass->inputs.source[i];
+    return pass->pass.source[source].gradient != NULL;
+}
 
 #define HG_P(name)    HG_JOIN(name, _, HG_SUFFIX)
 #define hg_real       double
@@ -43,103 +51,140 @@ typedef struct {
 #define HG_MATH(name) name##f
 #include "hairloss/physics_pairs_functions.h"
 
+static void free_pairs(pairs_pass *pass)
+{
+    for (int64_t g = 0; g < pass->pass.grooms; g++) {
+        if (pass->own_pairs && pass->pairs) hg_pairs_destroy(pass->pairs[g]);
+        if (pass->own_pairs && pass->pairs) pass->pairs[g] = NULL;
+        if (!pass->rest_distances) continue;
+        hg_free(pass->rest_distances[g]);
+        pass->rest_distances[g] = NULL;
+    }
+    void **arrays[] = { &pass->energies, &pass->forces, &pass->rest_forces };
+    for (int i = 0; i < 3; i++) {
+        hg_free(*arrays[i]);
+        *arrays[i] = NULL;
+    }
+    for (int i = 0; i < HG_PASS_INPUTS; i++) {
+        hg_free(pass->slopes[i]);
+        pass->slopes[i] = NULL;
+    }
+}
+
 static void pairs_destroy(void *self)
 {
     pairs_pass *pass = self;
     if (!pass) return;
     hg_function_destroy(pass->function);
-    for (int64_t g = 0; g < pass->grooms; g++) {
-        if (pass->own_pairs && pass->pairs) hg_pairs_destroy(pass->pairs[g]);
-        if (pass->rest_distances) hg_free(pass->rest_distances[g]);
-    }
+    hg_function_destroy(pass->full);
+    free_pairs(pass);
     hg_free(pass->pairs);
     hg_free(pass->rest_distances);
-    hg_free(pass->mass_values);
-    for (int a = 0; a < HG_PASS_ATTRIBUTES; a++) hg_free(pass->attribute_values[a]);
-    hg_free(pass->forces);
-    hg_free(pass->energies);
-    hg_free(pass->sums);
+    hg_pass_free(&pass->pass);
     hg_free(pass);
 }
 
-static hg_status make_pairs(pairs_pass *pass, const hg_pass_setup *setup)
+/* The lists and what is as long as they are. */
+static hg_status make_pairs(pairs_pass *pass, hg_ctx *ctx, double radius, double count)
 {
-    const hg_groom_data *data = setup->data;
-    int64_t n = data->strands * data->vertices;
-    pass->pairs = hg_alloc((size_t)data->grooms, sizeof *pass->pairs);
-    pass->rest_distances = hg_alloc((size_t)data->grooms, sizeof *pass->rest_distances);
-    if (!pass->pairs || !pass->rest_distances) return HG_MEMORY;
-    pass->own_pairs = !data->adhesion;
+    const hg_groom_data *data = pass->pass.data;
+    const char *name = pass->pass.term.energy->name;
+    const int64_t n = data->strands * data->vertices;
+    const size_t real = hg_dtype_size(pass->pass.dtype);
+    free_pairs(pass);
+    pass->most_pairs = 0;
     for (int64_t g = 0; g < data->grooms; g++) {
-        if (data->adhesion) {
+        if (!pass->own_pairs) {
             pass->pairs[g] = data->adhesion[g];
             if (!pass->pairs[g] || pass->pairs[g]->n_vertices != n)
-                return hg_fail(HG_INVALID, "%s: the pairs given for groom %lld are of %lld vertices; it has %lld",
-                               setup->term.energy->name, (long long)g,
-                               (long long)(pass->pairs[g] ? pass->pairs[g]->n_vertices : 0), (long long)n);
+                return hg_fail(HG_INVALID, "%s: the pairs given for groom %lld are of %lld vertices; it has %lld", name,
+                               (long long)g, (long long)(pass->pairs[g] ? pass->pairs[g]->n_vertices : 0),
+                               (long long)n);
         } else {
-            double radius = hg_term_param(&setup->term, "radius"), count = hg_term_param(&setup->term, "count");
             if (!(radius > 0.0) || !(count >= 0.0) || !(count <= 32.0))
                 return hg_fail(HG_INVALID,
                                "%s: pairs are made with a radius above 0 m and a count from 0 to 32, not %g "
                                "and %g",
-                               setup->term.energy->name, radius, count);
-            HG_TRY(hg_pairs_nearest(setup->ctx, &pass->pairs[g], data->strands, data->vertices, data->rest + 3 * n * g,
-                                    radius, (int)count));
+                               name, radius, count);
+            HG_TRY(hg_pairs_nearest(ctx, &pass->pairs[g], data->strands, data->vertices, data->rest + 3 * n * g, radius,
+                                    (int)count));
         }
         const hg_pairs *pairs = pass->pairs[g];
         if (pairs->n_pairs > pass->most_pairs) pass->most_pairs = pairs->n_pairs;
-        pass->rest_distances[g] = hg_alloc((size_t)pairs->n_pairs + 1, hg_dtype_size(setup->dtype));
+        pass->rest_distances[g] = hg_alloc((size_t)pairs->n_pairs + 1, real);
         if (!pass->rest_distances[g]) return HG_MEMORY;
         for (int64_t p = 0; p < pairs->n_pairs; p++) {
             const double *a = data->rest + 3 * (n * g + pairs->pairs[2 * p]);
             const double *b = data->rest + 3 * (n * g + pairs->pairs[2 * p + 1]);
             double d = hg_vec3d_distance(hg_vec3d_load(a), hg_vec3d_load(b));
-            if (setup->dtype == HG_F32)
+            if (pass->pass.dtype == HG_F32)
                 ((float *)pass->rest_distances[g])[p] = (float)d;
             else
                 ((double *)pass->rest_distances[g])[p] = d;
         }
     }
+    pass->energies = hg_alloc((size_t)pass->most_pairs + 1, real);
+    pass->forces = hg_alloc(3 * (size_t)pass->most_pairs + 1, real);
+    if (!pass->energies || !pass->forces) return HG_MEMORY;
+    pass->radius_now = radius;
+    pass->count_now = count;
     return HG_OK;
 }
 
-static hg_status make_function(pairs_pass *pass, const hg_pass_setup *setup)
+static hg_status make_functions(pairs_pass *pass, uint32_t kinds)
 {
-    const hg_groom_data *data = setup->data;
-    int64_t values = data->grooms * data->strands * data->vertices;
-    hg_trace_scope scope;
-    hg_term_scope(&scope, &setup->term, 0, HG_ALLOW_PAIRS);
-    uint32_t kinds = 0;
-    char *attributes[HG_PASS_ATTRIBUTES] = { NULL };
-    HG_TRY(hg_formula_inputs(setup->term.energy->trace, &scope, &kinds, &pass->n_attributes, attributes));
-
+    const hg_energy *energy = pass->pass.term.energy;
     hg_pass_inputs *inputs = &pass->inputs;
-    hg_status status = HG_OK;
-    pass->distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_DISTANCE }, 0.0);
-    pass->rest_distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_REST_DISTANCE }, 0.0);
-    pass->mass[0] = pass->mass[1] = -1;
-    if (kinds & HG_ALLOW(HG_INPUT_MASS)) {
-        pass->mass_values = hg_pass_values(setup->dtype, values, data->mass);
-        if (!pass->mass_values) status = HG_MEMORY;
-    }
+    hg_trace_scope scope;
+    hg_term_scope(&scope, &pass->pass.term, 0, HG_ALLOW_PAIRS);
+    pass->distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_DISTANCE }, -1, 0);
+    pass->rest_distance = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_REST_DISTANCE }, -1, 0);
     for (int side = 0; side < 2; side++) { /* the last vertex of a site is offset 0 */
-        int16_t offset = (int16_t)(side - 1);
-        if (pass->mass_values)
-            pass->mass[side] = hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_MASS, .offset = offset }, 0.0);
-        for (int a = 0; a < pass->n_attributes; a++)
-            pass->attribute[a][side] = hg_pass_inputs_add(
-                inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .offset = offset, .name = (int16_t)a }, 0.0);
+        const int16_t offset = (int16_t)(side - 1);
+        if (kinds & HG_ALLOW(HG_INPUT_MASS))
+            hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_MASS, .offset = offset }, HG_PASS_MASS, side);
+        for (int a = 0; a < pass->pass.n_attributes; a++)
+            hg_pass_inputs_add(inputs, (hg_input){ .kind = HG_INPUT_ATTRIBUTE, .offset = offset, .name = (int16_t)a },
+                               HG_PASS_ATTRIBUTE + a, side);
     }
-    hg_pass_inputs_add_uniform(inputs, &setup->term);
-    if (status == HG_OK)
-        status = hg_pass_attributes(setup, values, pass->n_attributes, attributes, pass->attribute_values);
-    if (status == HG_OK)
-        status =
-            hg_function_create_named(&pass->function, setup->term.energy->trace, &scope, 1, &pass->distance, inputs->n,
-                                     inputs->inputs, pass->n_attributes, (const char *const *)attributes);
-    for (int a = 0; a < pass->n_attributes; a++) hg_free(attributes[a]);
-    return status;
+    hg_pass_inputs_add_uniform(inputs, &pass->pass, true);
+    int wrt[HG_PASS_INPUTS], n_wrt = 0;
+    for (int i = 0; i < inputs->n; i++) {
+        const int source = inputs->source[i];
+        pass->slope_of[i] = -1;
+        if (source >= 0 && source < HG_ENERGY_PARAMS && pass->pass.makes_list >> source & 1) continue;
+        wrt[n_wrt] = i;
+        pass->slope_of[i] = ++n_wrt;
+    }
+    const char *const *attributes = (const char *const *)pass->pass.attributes;
+    HG_TRY(hg_function_create_named(&pass->function, energy->trace, &scope, 1, wrt, inputs->n, inputs->inputs,
+                                    pass->pass.n_attributes, attributes));
+    return hg_function_create_named(&pass->full, energy->trace, &scope, n_wrt, wrt, inputs->n, inputs->inputs,
+                                    pass->pass.n_attributes, attributes);
+}
+
+static hg_status pairs_make(pairs_pass *pass, const hg_pass_setup *setup)
+{
+    uint32_t kinds;
+    HG_TRY(hg_pass_create(&pass->pass, setup, HG_ALLOW_PAIRS, &kinds));
+    pass->pass.run_frame = setup->dtype == HG_F32 ? run_frame_f : run_frame_d;
+    pass->pairs = hg_alloc((size_t)pass->pass.grooms, sizeof *pass->pairs);
+    pass->rest_distances = hg_alloc((size_t)pass->pass.grooms, sizeof *pass->rest_distances);
+    if (!pass->pairs || !pass->rest_distances) return HG_MEMORY;
+    pass->own_pairs = !setup->data->adhesion;
+    pass->radius = hg_pass_param(&pass->pass, "radius");
+    pass->count = hg_pass_param(&pass->pass, "count");
+    if (pass->own_pairs && (pass->radius < 0 || pass->count < 0))
+        return hg_fail(HG_INVALID, "energy '%s' is over pairs: declare the params radius and count, or give a list",
+                       setup->term.energy->name);
+    for (int i = 0; i < 2; i++) {
+        const int param = i ? pass->count : pass->radius;
+        if (param >= 0) pass->pass.makes_list |= 1u << param;
+    }
+    pass->pass.uniform_only = pass->pass.makes_list;
+    HG_TRY(make_functions(pass, kinds));
+    return make_pairs(pass, setup->ctx, pass->radius < 0 ? 0 : setup->term.params[pass->radius],
+                      pass->count < 0 ? 0 : setup->term.params[pass->count]);
 }
 
 static hg_status pairs_create(void **self, const hg_pass_setup *setup)
@@ -147,19 +192,7 @@ static hg_status pairs_create(void **self, const hg_pass_setup *setup)
     *self = NULL;
     pairs_pass *pass = hg_alloc(1, sizeof *pass);
     if (!pass) return HG_MEMORY;
-    pass->dtype = setup->dtype;
-    pass->weight = setup->term.weight;
-    pass->grooms = setup->data->grooms;
-    pass->strands = setup->data->strands;
-    pass->vertices = setup->data->vertices;
-    hg_status status = make_pairs(pass, setup);
-    if (status == HG_OK) status = make_function(pass, setup);
-    if (status == HG_OK) {
-        pass->forces = hg_alloc(3 * (size_t)pass->most_pairs + 1, hg_dtype_size(setup->dtype));
-        pass->energies = hg_alloc((size_t)pass->most_pairs + 1, sizeof *pass->energies);
-        pass->sums = hg_alloc((size_t)pass->most_pairs / BLOCK + 1, sizeof *pass->sums);
-        if (!pass->forces || !pass->energies || !pass->sums) status = HG_MEMORY;
-    }
+    hg_status status = pairs_make(pass, setup);
     if (status != HG_OK) {
         pairs_destroy(pass);
         return status;
@@ -173,17 +206,20 @@ static hg_status pairs_run(void *self, hg_ctx *ctx, const hg_frame *frame, const
                            int64_t stride)
 {
     pairs_pass *pass = self;
-    pass->inputs.uniform[pass->inputs.dt] = frame->dt;
-    (void)n_values;
-    (void)values;
-    *unweighted = 0.0;
-    for (int64_t b = 0; b < x->shape[0]; b++) {
-        double *strand_energies = per_strand ? per_strand + b * pass->strands * stride : NULL;
-        HG_TRY(pass->dtype == HG_F32
-                   ? run_frame_f(pass, ctx, frame, x, b, gradient, unweighted, strand_energies, stride)
-                   : run_frame_d(pass, ctx, frame, x, b, gradient, unweighted, strand_energies, stride));
+    HG_TRY(hg_pass_begin(&pass->pass, frame, n_values, values));
+    if (pass->own_pairs) { /* a list of another radius or count */
+        const double radius = pass->pass.source[pass->radius].uniform, count = pass->pass.source[pass->count].uniform;
+        if (radius != pass->radius_now || count != pass->count_now) HG_TRY(make_pairs(pass, ctx, radius, count));
     }
-    return HG_OK;
+    const size_t real = hg_dtype_size(pass->pass.dtype), pairs = (size_t)pass->most_pairs;
+    hg_pass_inputs_fill(&pass->inputs, &pass->pass);
+    for (int i = 0; i < pass->inputs.n; i++) {
+        if (!wanted(pass, i)) continue;
+        void **array = i == pass->rest_distance ? &pass->rest_forces : &pass->slopes[i];
+        if (!*array) *array = hg_alloc((i == pass->rest_distance ? 3 : 1) * pairs + 1, real);
+        if (!*array) return hg_fail(HG_MEMORY, "out of memory for the derivatives of %zu pairs", pairs);
+    }
+    return hg_pass_frames(pass, ctx, frame, x, gradient, unweighted, per_strand, stride);
 }
 
 static const hg_physics_pass pairs_physics_pass = { pairs_create, pairs_destroy, pairs_run };

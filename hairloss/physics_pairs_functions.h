@@ -5,27 +5,15 @@
 typedef struct {
     const pairs_pass *pass;
     const hg_pairs *pairs;
-    int64_t groom;
-    const hg_real *x;  /* [n,3] of this frame */
-    hg_real *gradient; /* [n,3] of this frame, NULL: not wanted */
-    double *sums;      /* energy of every block of pairs */
+    const hg_pass_frame *frame;
 } HG_P(pairs_args);
 
-static void HG_P(evaluate_pairs)(const void *args, int64_t first, int64_t last)
+/* Distances of the pairs of a block, and the unit vectors from the second to the first; zero where they coincide. */
+static void HG_P(pair_distances)(const hg_real *x, const int32_t *pairs, int64_t count, hg_real *distance,
+                                 hg_real (*direction)[3])
 {
-    const HG_P(pairs_args) *a = args;
-    const pairs_pass *pass = a->pass;
-    const int32_t *pairs = a->pairs->pairs;
-    int64_t from = a->groom * pass->strands * pass->vertices;
-    hg_real distance[BLOCK], energy[BLOCK], slope[BLOCK], gathered[2 + 2 * HG_PASS_ATTRIBUTES][BLOCK];
-    hg_real direction[BLOCK][3];
-    const void *in[HG_PASS_INPUTS] = { NULL };
-    in[pass->distance] = distance;
-    in[pass->rest_distance] = (const hg_real *)pass->rest_distances[a->groom] + first;
-    int64_t count = last - first;
     for (int64_t k = 0; k < count; k++) {
-        const hg_real *xi = a->x + 3 * (int64_t)pairs[2 * (first + k)],
-                      *xj = a->x + 3 * (int64_t)pairs[2 * (first + k) + 1];
+        const hg_real *xi = x + 3 * (int64_t)pairs[2 * k], *xj = x + 3 * (int64_t)pairs[2 * k + 1];
         hg_real dx = xi[0] - xj[0], dy = xi[1] - xj[1], dz = xi[2] - xj[2];
         distance[k] = HG_MATH(sqrt)(dx * dx + dy * dy + dz * dz);
         hg_real inverse = distance[k] > 0 ? 1 / distance[k] : 0; /* the gradient of a norm at zero is zero */
@@ -33,67 +21,119 @@ static void HG_P(evaluate_pairs)(const void *args, int64_t first, int64_t last)
         direction[k][1] = dy * inverse;
         direction[k][2] = dz * inverse;
     }
-    int taken = 0;
-    for (int side = 0; side < 2; side++)
-        for (int v = -1; v < pass->n_attributes; v++) {
-            int input = v < 0 ? pass->mass[side] : pass->attribute[v][side];
-            if (input < 0) continue;
-            const hg_real *values = (const hg_real *)(v < 0 ? pass->mass_values : pass->attribute_values[v]) + from;
-            for (int64_t k = 0; k < count; k++) gathered[taken][k] = values[pairs[2 * (first + k) + side]];
-            in[input] = gathered[taken++];
-        }
-    hg_function_run(pass->function, pass->dtype, count, in, pass->inputs.uniform, (void *[]){ energy, slope });
-    hg_real *forces = pass->forces;
-    double sum = 0.0;
-    for (int64_t k = 0; k < count; k++) {
-        pass->energies[first + k] = (double)energy[k];
-        sum += (double)energy[k];
-        for (int axis = 0; axis < 3; axis++)
-            forces[3 * (first + k) + axis] = (hg_real)pass->weight * slope[k] * direction[k][axis];
+}
+
+static void HG_P(keep_forces)(hg_real *to, int64_t count, const hg_real *slope, hg_real (*direction)[3], hg_real weight)
+{
+    for (int64_t k = 0; k < count; k++)
+        for (int axis = 0; axis < 3; axis++) to[3 * k + axis] = weight * slope[k] * direction[k][axis];
+}
+
+static void HG_P(evaluate_pairs)(const void *args, int64_t first, int64_t last)
+{
+    const HG_P(pairs_args) *a = args;
+    const pairs_pass *pass = a->pass;
+    const hg_pass *base = &pass->pass;
+    const int32_t *pairs = a->pairs->pairs + 2 * first;
+    const int64_t n = base->strands * base->vertices, from = a->frame->groom * n, count = last - first;
+    const hg_real weight = (hg_real)base->term.weight;
+    hg_real distance[BLOCK], slope[BLOCK], direction[BLOCK][3];
+    hg_real rest_distance[BLOCK], rest_slope[BLOCK], rest_direction[BLOCK][3], gathered[HG_PASS_INPUTS][BLOCK];
+    const void *in[HG_PASS_INPUTS] = { NULL };
+    void *out[HG_PASS_INPUTS + 1] = { (hg_real *)pass->energies + first, slope };
+    HG_P(pair_distances)(a->frame->x, pairs, count, distance, direction);
+    in[pass->distance] = distance;
+    in[pass->rest_distance] = (const hg_real *)pass->rest_distances[a->frame->groom] + first;
+    if (base->source[HG_PASS_REST].given) {
+        HG_P(pair_distances)
+        ((const hg_real *)base->source[HG_PASS_REST].values + 3 * from, pairs, count, rest_distance, rest_direction);
+        in[pass->rest_distance] = rest_distance;
     }
-    a->sums[first / BLOCK] = sum;
+    for (int i = 0; i < pass->inputs.n; i++) {
+        if (pass->inputs.source[i] < 0) continue;
+        const hg_pass_source *source = &base->source[pass->inputs.source[i]];
+        const hg_real *values = source->values;
+        const int side = pass->inputs.side[i];
+        if (source->shape == HG_PASS_UNIFORM) continue;
+        if (source->shape == HG_PASS_STRAND)
+            for (int64_t k = 0; k < count; k++)
+                gathered[i][k] = values[a->frame->frame * base->strands + pairs[2 * k] / base->vertices];
+        else
+            for (int64_t k = 0; k < count; k++) gathered[i][k] = values[from + pairs[2 * k + side]];
+        in[i] = gathered[i];
+    }
+    for (int i = 0; base->wants && i < pass->inputs.n; i++)
+        if (wanted(pass, i))
+            out[pass->slope_of[i]] = i == pass->rest_distance ? rest_slope : (hg_real *)pass->slopes[i] + first;
+    hg_function_run(base->wants ? pass->full : pass->function, base->dtype, count, in, pass->inputs.uniform, out);
+    if (a->frame->gradient) HG_P(keep_forces)((hg_real *)pass->forces + 3 * first, count, slope, direction, weight);
+    if (base->wants && wanted(pass, pass->rest_distance))
+        HG_P(keep_forces)((hg_real *)pass->rest_forces + 3 * first, count, rest_slope, rest_direction, weight);
+}
+
+/* Sum of the forces of its pairs on a vertex; of the second of a pair it is the opposite. */
+static void HG_P(add_forces)(const hg_pairs *pairs, int64_t v, const hg_real *forces, hg_real *to)
+{
+    hg_real sum[3] = { 0, 0, 0 };
+    for (int64_t k = pairs->start[v]; k < pairs->start[v + 1]; k++) {
+        const hg_real *force = forces + 3 * (int64_t)(pairs->incident[k] >> 1);
+        hg_real sign = pairs->incident[k] & 1 ? -1 : 1;
+        for (int axis = 0; axis < 3; axis++) sum[axis] += sign * force[axis];
+    }
+    for (int axis = 0; axis < 3; axis++) to[axis] += sum[axis];
+}
+
+/* Sum over the pairs of a vertex in which it is on that side. */
+static double HG_P(sum_side)(const hg_pairs *pairs, int64_t v, int side, const hg_real *values)
+{
+    double sum = 0.0;
+    for (int64_t k = pairs->start[v]; k < pairs->start[v + 1]; k++)
+        if ((pairs->incident[k] & 1) == side) sum += (double)values[pairs->incident[k] >> 1];
+    return sum;
 }
 
 static void HG_P(gather_pairs)(const void *args, int64_t first, int64_t last)
 {
     const HG_P(pairs_args) *a = args;
-    const hg_real *forces = a->pass->forces;
-    for (int64_t v = first; v < last; v++) {
-        hg_real sum[3] = { 0, 0, 0 };
-        for (int64_t k = a->pairs->start[v]; k < a->pairs->start[v + 1]; k++) {
-            const hg_real *force = forces + 3 * (int64_t)(a->pairs->incident[k] >> 1);
-            hg_real sign = a->pairs->incident[k] & 1 ? -1 : 1;
-            for (int axis = 0; axis < 3; axis++) sum[axis] += sign * force[axis];
+    const pairs_pass *pass = a->pass;
+    const hg_pass *base = &pass->pass;
+    const int64_t V = base->vertices, groom = a->frame->groom * base->strands * V;
+    const double weight = base->term.weight;
+    for (int64_t s = first; s < last; s++) {
+        double sum = 0.0;
+        for (int64_t v = s * V; v < (s + 1) * V; v++) sum += HG_P(sum_side)(a->pairs, v, 0, pass->energies);
+        base->strand_energies[s] = sum;
+        if (a->frame->gradient)
+            for (int64_t v = s * V; v < (s + 1) * V; v++)
+                HG_P(add_forces)(a->pairs, v, pass->forces, (hg_real *)a->frame->gradient + 3 * v);
+        for (int i = 0; base->wants && i < pass->inputs.n; i++) {
+            if (!wanted(pass, i)) continue;
+            const hg_pass_source *source =
+                &base->source[i == pass->rest_distance ? HG_PASS_REST : pass->inputs.source[i]];
+            for (int64_t v = s * V; v < (s + 1) * V; v++) {
+                hg_real *to = source->gradient;
+                if (i == pass->rest_distance)
+                    HG_P(add_forces)(a->pairs, v, pass->rest_forces, to + 3 * (groom + v));
+                else if (source->shape == HG_PASS_GROOM)
+                    to[groom + v] +=
+                        (hg_real)(weight * HG_P(sum_side)(a->pairs, v, pass->inputs.side[i], pass->slopes[i]));
+                else
+                    source->strands[s] += weight * HG_P(sum_side)(a->pairs, v, 0, pass->slopes[i]);
+            }
         }
-        for (int axis = 0; axis < 3; axis++) a->gradient[3 * v + axis] += sum[axis];
     }
 }
 
-static hg_status HG_P(run_frame)(pairs_pass *pass, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int64_t b,
-                                 void *gradient, double *unweighted, double *strand_energies, int64_t stride)
+static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *frame)
 {
     static const hg_kernel evaluate = {
         .name = "pairs_evaluate", .args_size = sizeof(HG_P(pairs_args)), .cpu = HG_P(evaluate_pairs), .block = BLOCK
     };
     static const hg_kernel gather = {
-        .name = "pairs_gather", .args_size = sizeof(HG_P(pairs_args)), .cpu = HG_P(gather_pairs), .block = GATHER
+        .name = "pairs_gather", .args_size = sizeof(HG_P(pairs_args)), .cpu = HG_P(gather_pairs), .block = STRANDS
     };
-    int64_t n = pass->strands * pass->vertices, groom = frame->groom ? frame->groom[b] : 0;
-    const hg_pairs *pairs = pass->pairs[groom];
-    HG_P(pairs_args)
-    args = { pass,
-             pairs,
-             groom,
-             (const hg_real *)x->data + 3 * n * b,
-             gradient ? (hg_real *)gradient + 3 * n * b : NULL,
-             pass->sums };
-    HG_TRY(hg_launch(ctx, &evaluate, pairs->n_pairs, &args));
-    for (int64_t k = 0; k < (pairs->n_pairs + BLOCK - 1) / BLOCK; k++) *unweighted += pass->sums[k];
-    if (strand_energies) { /* a pair counts for the strand of its first vertex */
-        for (int64_t s = 0; s < pass->strands; s++) strand_energies[s * stride] = 0.0;
-        for (int64_t p = 0; p < pairs->n_pairs; p++)
-            strand_energies[pairs->pairs[2 * p] / pass->vertices * stride] += pass->energies[p];
-    }
-    if (gradient) HG_TRY(hg_launch(ctx, &gather, n, &args));
-    return HG_OK;
+    const pairs_pass *pass = self;
+    const HG_P(pairs_args) args = { pass, pass->pairs[frame->groom], frame };
+    HG_TRY(hg_launch(ctx, &evaluate, args.pairs->n_pairs, &args));
+    return hg_launch(ctx, &gather, pass->pass.strands, &args);
 }
