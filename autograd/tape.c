@@ -171,6 +171,17 @@ bool hg_call_recorded(const hg_call *call)
     return false;
 }
 
+/* What a call reads and writes if it touches every tensor once; a backward reads what forward did and writes gradients. */
+static int64_t bytes_of(const hg_call *call, bool backward)
+{
+    size_t bytes = hg_tensor_bytes(call->out);
+    for (int i = 0; i < call->n_in; i++)
+        if (call->in[i]) bytes += hg_tensor_bytes(call->in[i]) * (backward && hg_needs_grad(call->in[i]) ? 2 : 1);
+    for (int i = 0; i < 4; i++)
+        if (call->saved[i]) bytes += hg_tensor_bytes(call->saved[i]);
+    return (int64_t)bytes;
+}
+
 static bool append(hg_ctx *ctx, tape *t, record *r)
 {
     if (t->n == t->capacity) {
@@ -230,7 +241,10 @@ hg_tensor *hg_apply(hg_ctx *ctx, const hg_op *op, int n_in, hg_tensor *const *in
         return hg_refuse(call, "it has no backward and cannot take a tensor that needs a gradient; detach it first");
     call->out = op->shape(call);
     if (!call->out) return hg_ctx_status(ctx) == HG_OK ? hg_refuse(call, "its shape check failed") : NULL;
+    const bool counted = hg_profiling(ctx);
+    if (counted) hg_profile_begin(ctx, "forward", op->name);
     hg_status status = op->forward(call);
+    if (counted) hg_profile_end(ctx, bytes_of(call, false));
     if (status != HG_OK) {
         if (hg_ctx_status(ctx) == HG_OK) hg_ctx_fail(ctx, status, "%s: %s", op->name, hg_message());
         return NULL;
@@ -345,7 +359,10 @@ static hg_status walk(tape *t, hg_tensor *out)
         for (int j = 0; j < r->call.n_in; j++)
             if (hg_needs_grad(r->call.in[j])) HG_TRY(make_gradient(r->call.in[j]));
         hg_call call = r->call; /* a backward cannot change what was recorded */
+        const bool counted = hg_profiling(call.ctx);
+        if (counted) hg_profile_begin(call.ctx, "backward", call.op->name);
         hg_status status = call.op->backward(&call);
+        if (counted) hg_profile_end(call.ctx, bytes_of(&call, true));
         if (status == HG_OK && t->trap) HG_TRY(hg_trap_check(&call, true, t->trap_path));
         if (status != HG_OK)
             return hg_ctx_fail(call.ctx, status, "backward of %s (recorded at %s:%d): %s", call.op->name,

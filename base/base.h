@@ -53,6 +53,7 @@ const char *hg_status_name(hg_status status);                 /* "invalid", "for
 
 void *hg_alloc(size_t count, size_t size);                    /* zeroed, 64-byte aligned, overflow-checked; NULL and a message on failure */
 void *hg_resize(void *old, size_t old_count, size_t count, size_t size); /* new part zeroed; old freed on success */
+int64_t hg_alloc_count(void);                                 /* how many times memory was taken so far, by all threads: constant in a steady state */
 void  hg_free(void *memory);                                  /* NULL is fine */
 char *hg_strdup(const char *text);
 char *hg_format(const char *format, ...) HG_PRINTF(1, 2);     /* a new string */

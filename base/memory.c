@@ -2,6 +2,7 @@
  * letting the system end the process later: such a request is nearly always a wrong count. */
 #include "base/base.h"
 
+#include <stdatomic.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -25,8 +26,13 @@ static bool fits(size_t count, size_t size, size_t *bytes)
     return true;
 }
 
+static atomic_llong taken;
+
+int64_t hg_alloc_count(void) { return (int64_t)atomic_load_explicit(&taken, memory_order_relaxed); }
+
 static void *take(size_t bytes)
 {
+    atomic_fetch_add_explicit(&taken, 1, memory_order_relaxed);
     void *memory = aligned_alloc(alignment, bytes);
     if (memory == NULL) hg_fail(HG_MEMORY, "memory: the system has no %.1f MB left", (double)bytes * 1e-6);
     return memory;

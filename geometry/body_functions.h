@@ -148,6 +148,14 @@ static bool HG_B(fit_nodes)(hg_body_refit *refit)
     return true;
 }
 
+/* What a refit writes. */
+static int64_t HG_B(bytes)(const hg_body_tree *tree)
+{
+    return (int64_t)sizeof(HG_B(leaf)) * tree->n_leaves +
+           (int64_t)sizeof(HG_B(node)) * tree->level_start[tree->levels] + 12 * tree->n_faces +
+           (int64_t)sizeof(hg_real) * 3 * (tree->n_faces + 2 * tree->n_vertices);
+}
+
 static hg_status HG_B(update)(hg_ctx *ctx, hg_body_refit *refit, const void *vertices)
 {
     static const hg_kernel faces = {

@@ -126,7 +126,10 @@ void hg_body_refit_destroy(hg_body_refit *refit)
 
 hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices)
 {
-    return refit->dtype == HG_F32 ? update_f(ctx, refit, vertices) : update_d(ctx, refit, vertices);
+    hg_profile_begin(ctx, "body", "refit");
+    HG_TRY(refit->dtype == HG_F32 ? update_f(ctx, refit, vertices) : update_d(ctx, refit, vertices));
+    hg_profile_end(ctx, refit->dtype == HG_F32 ? bytes_f(refit->tree) : bytes_d(refit->tree));
+    return HG_OK;
 }
 
 hg_status hg_body_closest(hg_ctx *ctx, const hg_body_refit *refit, hg_contact_mode mode, double reach, int64_t n,
@@ -134,6 +137,9 @@ hg_status hg_body_closest(hg_ctx *ctx, const hg_body_refit *refit, hg_contact_mo
 {
     if (!refit->ready) return hg_fail(HG_INVALID, "body: asked for the closest triangle before hg_body_refit_update");
     if (!(reach >= 0.0)) return hg_fail(HG_INVALID, "body: a reach of %g m; it has to be 0 or more", reach);
-    return refit->dtype == HG_F32 ? run_f(ctx, refit, mode, reach, n, points, triangle, contact_point, contact_normal)
-                                  : run_d(ctx, refit, mode, reach, n, points, triangle, contact_point, contact_normal);
+    hg_profile_begin(ctx, "body", "closest triangles");
+    HG_TRY(refit->dtype == HG_F32 ? run_f(ctx, refit, mode, reach, n, points, triangle, contact_point, contact_normal)
+                                  : run_d(ctx, refit, mode, reach, n, points, triangle, contact_point, contact_normal));
+    hg_profile_end(ctx, n * (9 * (int64_t)hg_dtype_size(refit->dtype) + 8));
+    return HG_OK;
 }

@@ -142,7 +142,7 @@ static hg_status reserve(hg_cells *cells, hg_dtype dtype, int64_t n)
     return HG_OK;
 }
 
-hg_status hg_cells_build(hg_ctx *ctx, hg_cells *cells, hg_dtype dtype, int64_t n, const void *points, double radius)
+static hg_status build(hg_ctx *ctx, hg_cells *cells, hg_dtype dtype, int64_t n, const void *points, double radius)
 {
     static const hg_kernel find = {
         .name = "cells_find", .args_size = sizeof(cell_args), .cpu = find_cells, .block = 4096
@@ -187,6 +187,14 @@ hg_status hg_cells_build(hg_ctx *ctx, hg_cells *cells, hg_dtype dtype, int64_t n
         else
             ((double *)cells->x)[i] = ((double *)cells->y)[i] = ((double *)cells->z)[i] = 1e18;
     }
+    return HG_OK;
+}
+
+hg_status hg_cells_build(hg_ctx *ctx, hg_cells *cells, hg_dtype dtype, int64_t n, const void *points, double radius)
+{
+    hg_profile_begin(ctx, "neighbours", "cells");
+    HG_TRY(build(ctx, cells, dtype, n, points, radius));
+    hg_profile_end(ctx, n * (6 * (int64_t)hg_dtype_size(dtype) + 16));
     return HG_OK;
 }
 

@@ -28,6 +28,7 @@ struct hg_physics {
     hg_strand_pass *strands[2]; /* posed made in the kernel; posed given by the frame (made when first met) */
     hg_term *window_terms;      /* by name, so that the order in a config does not matter */
     int32_t *window_column;
+    char *window_names; /* "stretch + bend_twist", for a profile */
     int n_window;
     bool wants_posed;
     hg_backend backend;
@@ -186,7 +187,10 @@ static hg_status copy_terms(hg_physics *p, const hg_term *terms)
         p->window_terms[at] = *term;
         p->window_column[at] = t;
     }
-    return HG_OK;
+    hg_text names = { 0 };
+    for (int i = 0; i < p->n_window; i++) hg_text_add(&names, i ? " + %s" : "%s", p->window_terms[i].energy->name);
+    p->window_names = names.data;
+    return names.failed ? HG_MEMORY : HG_OK;
 }
 
 static hg_status make_others(hg_physics *p)
@@ -279,6 +283,7 @@ void hg_physics_destroy(hg_physics *physics)
     hg_free(physics->options);
     hg_free(physics->window_terms);
     hg_free(physics->window_column);
+    hg_free(physics->window_names);
     hg_free(physics->others);
     hg_free(physics->sums);
     hg_free(physics);
@@ -395,14 +400,19 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
     for (int t = 0; t < p->n; t++) sums[t] = 0;
     void *point, *normal;
     HG_TRY(find_contact(p, ctx, frame, x, &point, &normal));
-    if (p->n_window)
+    if (p->n_window) {
+        hg_profile_begin(ctx, "energies", p->window_names);
         HG_TRY(hg_strand_pass_run(*strands, ctx, frame, x, point, normal, gradient, sums, per_strand, p->n));
-    else if (gradient)
+        hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) *
+                                (1 + (frame->predicted != NULL) + 2 * (point != NULL) + (gradient != NULL)));
+    } else if (gradient)
         memset(gradient, 0, hg_tensor_bytes(x));
     for (int i = 0; i < p->n_others; i++) {
         const int t = p->others[i].term;
+        hg_profile_begin(ctx, "energies", p->terms[t].energy->name);
         HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, 0, NULL, gradient, &sums[t],
                                       per_strand ? per_strand + t : NULL, p->n));
+        hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) * (1 + 2 * (gradient != NULL)));
     }
     return HG_OK;
 }

@@ -42,9 +42,13 @@ hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *bat
         const int64_t at = frame - 2 + time, slot = time * B + b;
         /* The last body posed is that of t, which is the one that hair touches. */
         float *body = time == 2 ? batch->body + b * task->body_vertices * 3 : task->posed_body;
+        hg_profile_begin(ctx, "sample", "body");
         HG_TRY(hg_pose(ctx, task->poser, shape, clip->motion, at < 0 ? 0 : at, body, NULL, NULL));
+        hg_profile_end(ctx, 12 * task->body_vertices);
+        hg_profile_begin(ctx, "sample", "roots");
         HG_TRY(hg_pose_roots(ctx, task->poser, task->groom, subset->strand, S, body, batch->rotation + slot * S * 4,
                              batch->position + slot * S * 3));
+        hg_profile_end(ctx, 28 * S);
         float *out = batch->inputs + slot * inputs;
         hg_hair_track_frame(&task->layout, &clip->track, at, shape, out);
         hg_hair_normalise_frame(task, out, out);

@@ -37,6 +37,7 @@ void hg_ctx_destroy(hg_ctx *ctx)
     hg_step_reset(ctx);
     for (int i = 0; i < HG_HOOKS; i++)
         if (ctx->on_destroy[i]) ctx->on_destroy[i](ctx);
+    hg_profile_stop(ctx);
     hg_arena_free(&ctx->host);
     hg_arena_free(&ctx->data);
     if (ctx->workspace) ctx->device->free(ctx->workspace);

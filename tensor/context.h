@@ -17,6 +17,7 @@ struct hg_ctx {
     void *workspace; /* for products, device memory, grows */
     size_t workspace_bytes;
     void *tape;
+    hg_profile *profile; /* NULL: nothing is counted */
     const char *file;
     int line;
     hg_status status;

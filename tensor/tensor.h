@@ -132,6 +132,29 @@ void hg_product_here(hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t
                      double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
 int  hg_worker(void);                                            /* inside a kernel: which of hg_ctx_threads() is running, for scratch */
 
+/* ---- profile ------------------------------------------------------------------------------------------------ */
+
+/* Scopes with a group ("forward") and a name ("linear"), inside each other; nothing is counted unless it was started. Ops,
+ * passes of the physics, body, neighbours, sampling and optimiser have one. Begin and end on the calling thread, outside of
+ * kernels; both strings are kept by pointer.
+ *
+ *     hg_profile_start(ctx, 20);
+ *     for (int step = 0; step < 20; step++) { ... hg_profile_step(ctx); }
+ *     n = hg_profile_read(ctx, &seconds, &rows);                                                                         */
+typedef struct { const char *group, *name; double calls, bytes; /* of a step */ double own, total; /* seconds, medians of the steps; own: without the scopes inside */ } hg_profile_row;
+typedef struct hg_profile hg_profile;
+hg_status hg_profile_start(hg_ctx *ctx, int steps);              /* room for so many steps, later ones are not kept */
+void      hg_profile_stop(hg_ctx *ctx);                          /* frees what was counted */
+bool      hg_profiling(const hg_ctx *ctx);
+void      hg_profile_begin(hg_ctx *ctx, const char *group, const char *name);
+void      hg_profile_end(hg_ctx *ctx, int64_t bytes);            /* bytes read and written, as far as they are known */
+void      hg_profile_step(hg_ctx *ctx);                          /* a step is over */
+int       hg_profile_read(hg_ctx *ctx, double *step_seconds, const hg_profile_row **rows); /* largest own first; once, good until the stop */
+
+/* Measured at the call, on all threads, in a few tenths of a second: f32 operations (a multiply-add is two) and bytes
+ * copied (read and written), per second. */
+hg_status hg_machine_limits(hg_ctx *ctx, double *operations, double *bytes);
+
 uint16_t hg_bf16_from_f32(float x);                              /* round to nearest even, NaN stays NaN */
 float    hg_f32_from_bf16(uint16_t x);
 

@@ -161,7 +161,9 @@ hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double
         }
     }
     const norm_args norm = { adam->chunks, adam->partial };
+    hg_profile_begin(adam->ctx, "optimiser", "gradient norm");
     HG_TRY(hg_launch(adam->ctx, &norm_kernel, adam->n_chunks, &norm));
+    hg_profile_end(adam->ctx, 4 * adam->total);
     double squares = 0;
     for (int64_t c = 0; c < adam->n_chunks; c++) squares += adam->partial[c];
     const double length = sqrt(squares);
@@ -177,7 +179,9 @@ hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double
                              .correction2 = (float)(1 / (1 - pow(beta2, t))),
                              .epsilon = (float)epsilon,
                              .decay = (float)(learning_rate * weight_decay) };
+    hg_profile_begin(adam->ctx, "optimiser", "adam");
     HG_TRY(hg_launch(adam->ctx, &step_kernel, adam->n_chunks, &step));
+    hg_profile_end(adam->ctx, 28 * adam->total); /* value, m, v in and out, gradient in */
     for (int i = 0; i < adam->n; i++) hg_tensor_touch(adam->params[i]);
     adam->step++;
     return HG_OK;

@@ -111,20 +111,28 @@ static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
     const uint64_t step = (uint64_t)r->state.step;
     hg_ctx_clear(r->ctx);
     hg_step_reset(r->ctx);
+    hg_profile_begin(r->ctx, "step", "sample");
     HG_TRY(r->task->sample(r->task->self, r->ctx, hg_ctx_seed(r->ctx), step, r->batch));
+    hg_profile_end(r->ctx, 0);
+    hg_profile_begin(r->ctx, "step", "loss");
     hg_tensor *loss = r->task->loss(r->task->self, r->ctx, r->model, r->batch, report);
+    hg_profile_end(r->ctx, 0);
     HG_TRY(hg_ctx_status(r->ctx));
     if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %llu", (unsigned long long)step + 1);
     r->loss = hg_tensor_item(loss, 0);
     if (!isfinite(r->loss))
         return hg_fail(HG_NUMERIC, "trainer: the loss is %g at step %llu; try a smaller learning rate", r->loss,
                        (unsigned long long)step + 1);
+    hg_profile_begin(r->ctx, "step", "backward");
     HG_TRY(hg_backward(r->ctx, loss));
+    hg_profile_end(r->ctx, 0);
     *rate = learning_rate(options, r->state.step, elapsed(r));
     HG_TRY(hg_adam_step(r->adam, *rate, options->beta1, options->beta2, options->epsilon, options->weight_decay,
                         options->clip, norm));
     r->state.step++;
-    return hg_average_step(r->average, options->ema, r->state.step);
+    HG_TRY(hg_average_step(r->average, options->ema, r->state.step));
+    hg_profile_step(r->ctx);
+    return HG_OK;
 }
 
 static hg_status log_report(run *r, const hg_report *report)
