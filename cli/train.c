@@ -1,5 +1,5 @@
 /* hairgrad train: a network from a recipe. */
-#include "cli/cli.h"
+#include "cli/train.h"
 
 #include <math.h>
 #include <string.h>
@@ -41,14 +41,17 @@ static hg_status train_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
 {
     hg_config *config = NULL;
     HG_TRY(hg_hair_config_load(&config, arguments->free[0]));
-    const bool resume = cli_flag(arguments, "resume");
+    const bool resume = cli_flag(arguments, "resume"), dry = cli_flag(arguments, "dry-run");
     hg_hair_task *task = NULL;
     hg_progress progress = cli_progress();
     hg_status status = overrides(config, arguments);
-    if (status == HG_OK) status = look_at_folder(folder, resume, cli_flag(arguments, "again"));
+    if (status == HG_OK && folder) status = look_at_folder(folder, resume, cli_flag(arguments, "again"));
+    if (status == HG_OK && dry) status = hg_config_set(config, "features.encoder_steps", "1"); /* takes its time */
     if (status == HG_OK) status = hg_hair_task_create(&task, ctx, config, folder, &progress);
     hg_config_destroy(config);
-    if (status == HG_OK) {
+    if (status == HG_OK && dry) {
+        status = cli_dry_run(ctx, task, &progress);
+    } else if (status == HG_OK) {
         hg_train_options options = hg_hair_train_options(task);
         options.resume = resume;
         options.allow_other_backend = cli_flag(arguments, "other-backend");
@@ -69,8 +72,9 @@ static hg_status train_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
 static int train(const hg_arguments *arguments)
 {
     hg_ctx *ctx = NULL;
-    const char *folder = cli_value(arguments, "output", NULL);
-    if (!folder) {
+    const bool dry = cli_flag(arguments, "dry-run");
+    const char *folder = dry ? NULL : cli_value(arguments, "output", NULL);
+    if (!folder && !dry) {
         hg_fail(HG_INVALID, "train: where should the run go? -o FOLDER");
         return cli_fail();
     }
@@ -79,6 +83,8 @@ static int train(const hg_arguments *arguments)
     const hg_status status = train_run(ctx, arguments, folder, &result);
     hg_ctx_destroy(ctx);
     if (status != HG_OK) return cli_fail();
+    if (dry) return 0;
+    if (result.early) printf("stopped early: the validation no longer gets better\n");
     printf("%s %lld steps in %.0f s", result.interrupted ? "stopped after" : "trained", (long long)result.steps,
            result.seconds);
     if (isfinite(result.loss)) printf(", loss %.4g", result.loss);
@@ -92,12 +98,13 @@ static const hg_argument train_options[] = {
     { "set", "KEY=VALUE", "override a value of the recipe, like training.steps=2000", true },
     { "resume", NULL, "go on from the run's checkpoint", false },
     { "again", NULL, "start anew in a folder that holds a run", false },
+    { "dry-run", NULL, "load and check everything, say what would be trained, make two steps; write nothing", false },
     { "minutes", "N", "stop after so many minutes; the learning rate comes down by then", false },
     { "other-backend", NULL, "resume although another back end computed the checkpoint", false },
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(
-    train, .what = "train a network on a recipe", .usage = "RECIPE.yaml -o RUN", .options = train_options,
+    train, .what = "train a network on a recipe", .usage = "RECIPE.yaml -o RUN|--dry-run", .options = train_options,
     .n_options = sizeof train_options / sizeof *train_options, .min_free = 1, .max_free = 1, .run = train,
     .more = "  hairgrad train examples/recipes/demo.yaml -o out/demo/run\n"
             "  hairgrad train examples/recipes/neuralocks.yaml -o out/run --set scene.folder=out/scene --minutes 20\n"

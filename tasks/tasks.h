@@ -35,6 +35,9 @@ hg_train_options hg_hair_train_options(const hg_hair_task *task);
 /* From a run folder: config, checkpoint (best when there is one) and everything ready to drape. */
 hg_status hg_hair_task_open(hg_hair_task **task, hg_ctx *ctx, const char *run_folder, const hg_progress *progress);
 const hg_groom *hg_hair_groom(const hg_hair_task *task);
+int hg_hair_grooms(const hg_hair_task *task);                     /* trained on; hg_hair_groom is the one that is draped */
+const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i);
+const hg_physics *hg_hair_physics(const hg_hair_task *task);
 const hg_body  *hg_hair_body(const hg_hair_task *task);
 double hg_hair_rate(const hg_hair_task *task);                    /* frames per second that the network was trained for */
 int hg_hair_clips(const hg_hair_task *task, bool held_out);
