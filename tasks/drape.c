@@ -33,7 +33,9 @@ static void drape_free(drape *d)
 /* The first layer's share of the strands, computed once per drape. */
 static hg_status make_part(drape *d, hg_hair_task *task, hg_ctx *ctx)
 {
-    hg_hair_subset strands = { .n = d->n, .strand = d->strand, .rest = d->rest, .features = d->features };
+    hg_hair_subset strands = {
+        .first = task->current, .grooms = 1, .n = d->n, .strand = d->strand, .rest = d->rest, .features = d->features
+    };
     HG_TRY(hg_hair_subset_features(&strands, task));
     hg_step_reset(ctx);
     hg_no_grad_begin(ctx);

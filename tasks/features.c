@@ -224,16 +224,24 @@ hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motio
 
 /* ---- normalisation ------------------------------------------------------------------------------------------ */
 
-static void moments(int64_t n, int stride, const float *values, double least, double *mean, double *deviation)
+/* Mean and deviation of one strand feature over the strands of all grooms. */
+static void strand_moments(const hg_hair_task *task, int column, double least, double *mean, double *deviation)
 {
-    double sum = 0, squares = 0;
-    for (int64_t i = 0; i < n; i++) sum += (double)values[i * stride];
-    *mean = n ? sum / (double)n : 0;
-    for (int64_t i = 0; i < n; i++) {
-        const double d = (double)values[i * stride] - *mean;
-        squares += d * d;
+    double sum = 0, squares = 0, n = 0;
+    for (int pass = 0; pass < 2; pass++) {
+        for (int g = 0; g < task->n_grooms; g++) {
+            const hg_hair_style *style = &task->styles[g];
+            for (int64_t i = 0; i < style->groom->strands; i++) {
+                const double value = (double)style->strand_raw[i * task->strand_inputs + column];
+                if (pass)
+                    squares += (value - *mean) * (value - *mean);
+                else
+                    sum += value, n++;
+            }
+        }
+        if (!pass) *mean = sum / n;
     }
-    *deviation = fmax(n ? sqrt(squares / (double)n) : 0, least);
+    *deviation = fmax(sqrt(squares / n), least);
 }
 
 /* Mean and deviation of one channel over all training clips. */
@@ -273,18 +281,15 @@ static hg_status add_feature(hg_hair_task *task, char *name, double mean, double
 static hg_status strand_feature_rows(hg_hair_task *task)
 {
     const char axis_uv[2] = { 'u', 'v' };
-    const int width = task->strand_inputs;
-    const int64_t strands = task->groom->strands;
     for (int k = 0; k < 2; k++) HG_TRY(add_feature(task, hg_format("root_uv.%c", axis_uv[k]), 0.5, 0.29));
     for (int part = 0; part < 2; part++) {
         double largest = 0, mean, deviation;
         for (int k = 0; k < task->latent; k++) {
-            moments(strands, width, task->strand_raw + 2 + part * task->latent + k, 0, &mean, &deviation);
+            strand_moments(task, 2 + part * task->latent + k, 0, &mean, &deviation);
             largest = fmax(largest, deviation);
         }
         for (int k = 0; k < task->latent; k++) {
-            const float *values = task->strand_raw + 2 + part * task->latent + k;
-            moments(strands, width, values, fmax(0.1 * largest, least_latent), &mean, &deviation);
+            strand_moments(task, 2 + part * task->latent + k, fmax(0.1 * largest, least_latent), &mean, &deviation);
             HG_TRY(add_feature(task, hg_format("%s[%d]", part ? "z_lock" : "z_rest", k), mean, deviation));
         }
     }

@@ -60,15 +60,28 @@ void hg_hair_track_frame(const hg_hair_layout *layout, const hg_hair_track *trac
 /* Global rotations and places of all joints on the neutral body. rotation [J,4], position [J,3]. */
 void hg_hair_joints(const hg_body *body, const hg_motion *motion, int64_t frame, double *rotation, double *position);
 
+/* ---- grooms ------------------------------------------------------------------------------------------------- */
+
+/* A groom and what is known of its strands before any is drawn. All of a task have as many vertices a strand. */
+typedef struct {
+    hg_groom *groom;
+    char *name;
+    float *body_distance, *scalp_distance; /* [S,V] of the rest groom */
+    float *strand_raw;                     /* [S,strand_inputs] */
+    int32_t *lock, locks;                  /* [S] lock of a strand; how many there are */
+} hg_hair_style;
+
 /* ---- strands of a step -------------------------------------------------------------------------------------- */
 
+/* As many strands of each of G grooms: those from `first` on of the task. */
 typedef struct {
+    int first, grooms;
     int64_t n;
-    int32_t *strand;     /* [n] of the groom, ascending */
-    hg_tensor *rest;     /* [n,V,3] f32 */
-    hg_tensor *features; /* [n,strand_inputs] f32, normalised */
-    double *lengths;     /* [n,V-1] rest edges */
-    double *mass;        /* [n] of a strand [kg] */
+    int32_t *strand;     /* [G,n] of the groom, ascending */
+    hg_tensor *rest;     /* [G n,V,3] f32 */
+    hg_tensor *features; /* [G n,strand_inputs] f32, normalised */
+    double *lengths;     /* [G n,V-1] rest edges */
+    double *mass;        /* [G n] of a strand [kg] */
     hg_physics *physics;
 } hg_hair_subset;
 
@@ -79,6 +92,7 @@ typedef enum { HG_HAIR_TRAINING = 0, HG_HAIR_EVALUATION = 1 } hg_hair_purpose;
 /* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. */
 typedef struct {
     int64_t frames, strands, body_vertices;
+    int32_t *groom;  /* [B] of the subset's; frames of one groom stand together */
     float *inputs;   /* [3,B,frame_inputs] normalised */
     float *rotation; /* [3,B,S,4] */
     float *position; /* [3,B,S,3] */
@@ -95,17 +109,18 @@ struct hg_hair_task {
     bool opened;                         /* a finished run: nothing is trained or written */
 
     hg_body *body;
-    hg_groom *groom;
+    hg_hair_style *styles;       /* [n_grooms + 1]: those trained on, then one that is only draped */
+    int n_grooms, current;       /* current: the one that is draped and evaluated */
+    const hg_groom *groom;       /* of styles[current] */
     hg_hair_clip_data *clips[2]; /* trained on, held out */
     int n_clips[2];
     int64_t training_frames;
     double rate, spread[HG_SHAPES];
 
     hg_poser *poser;
-    int64_t body_vertices;                 /* kept by the poser */
-    float *posed_body;                     /* [body_vertices,3] scratch */
-    hg_body_tree *tree;                    /* collider */
-    float *body_distance, *scalp_distance; /* [S,V] of the rest groom */
+    int64_t body_vertices; /* kept by the poser */
+    float *posed_body;     /* [body_vertices,3] scratch */
+    hg_body_tree *tree;    /* collider */
 
     hg_hair_layout layout;
     int strand_inputs, inputs, outputs, pinned, latent;
@@ -115,8 +130,7 @@ struct hg_hair_task {
     double *mean, *deviation; /* [inputs] */
     hg_feature *features;     /* [inputs] */
     int n_features;
-    float *strand_raw;    /* [S,strand_inputs] */
-    int32_t *lock, locks; /* [S] lock of a strand; how many there are */
+    double strand_scale; /* of the encoder's inputs [1/m] */
     hg_model *encoder, *model;
     hg_tensor *output_map; /* [outputs,(V-1)*3]: outputs -> displacements */
     hg_tensor *mean_tensor, *inverse_deviation;
@@ -138,11 +152,16 @@ hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file);
 hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file);
-hg_status hg_hair_strands_encode(hg_hair_task *task);  /* strand features from the encoder as it is */
-hg_status hg_hair_features_create(hg_hair_task *task); /* names and normalisation; once the strands are there */
+hg_status hg_hair_strands_encode(hg_hair_task *task); /* strand features of all grooms from the encoder as it is */
+hg_status hg_hair_style_strands(hg_hair_task *task,
+                                hg_hair_style *style); /* makes and fills what belongs to its strands */
+void hg_hair_style_destroy(hg_hair_style *style);
+uint64_t hg_hair_grooms_hash(const hg_hair_task *task); /* of those trained on; of a single one its own */
+hg_status hg_hair_features_create(hg_hair_task *task);  /* names and normalisation; once the strands are there */
 hg_status hg_hair_features_tensors(hg_hair_task *task);
 void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out);
 
+/* TRAINING: of all grooms trained on. EVALUATION: of the current one. */
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
 void hg_hair_subset_destroy(hg_hair_subset *subset);
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
@@ -151,9 +170,10 @@ hg_status hg_hair_evaluation_subset(hg_hair_task *task);                        
 
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
 hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int64_t frames, int64_t strands);
-/* Fills slot b of a batch: the clip at frame - 2, frame - 1 and frame, with a body shape. */
+/* Fills slot b of a batch: the clip at frame - 2, frame - 1 and frame, with a body shape and one of the subset's grooms. */
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
-                             int64_t b, const hg_hair_clip_data *clip, int64_t frame, const double shape[HG_SHAPES]);
+                             int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
+                             const double shape[HG_SHAPES]);
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);
 void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
 

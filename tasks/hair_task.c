@@ -97,6 +97,12 @@ hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tens
 
 /* ---- loss --------------------------------------------------------------------------------------------------- */
 
+/* Of strand k of a batch's [B,S]. */
+static double mass_of(const hg_hair_batch *batch, const hg_hair_subset *subset, int64_t k)
+{
+    return subset->mass[batch->groom[k / batch->strands] * batch->strands + k % batch->strands];
+}
+
 /* Gravity of every strand if it were a point at its root: counted from there, the loss says how the hair hangs and not how
  * high the person stands. A constant for the network. */
 static double root_gravity(const hg_hair_task *task, const hg_hair_batch *batch, const hg_hair_subset *subset,
@@ -110,11 +116,41 @@ static double root_gravity(const hg_hair_task *task, const hg_hair_batch *batch,
         const float *position = batch->position + 2 * batch->frames * batch->strands * 3;
         for (int64_t k = 0; k < batch->frames * batch->strands; k++)
             for (int c = 0; c < 3; c++)
-                energy -= subset->mass[k % batch->strands] * gravity->params[c] * (double)position[3 * k + c];
+                energy -= mass_of(batch, subset, k) * gravity->params[c] * (double)position[3 * k + c];
         return energy;
     }
     *term = -1;
     return 0;
+}
+
+/* A batch's tensors, as the network takes them. */
+typedef struct {
+    hg_tensor *part;                         /* strand_part of the subset [G S,H] */
+    hg_tensor *inputs, *rotation, *position; /* [3B,..] */
+} batch_tensors;
+
+/* Strands of the rows from `first` on (row: time * B + frame), a call for each run of rows with the same groom. */
+static hg_tensor *predict_rows(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
+                               const hg_hair_subset *subset, const batch_tensors *in, int64_t first, int64_t rows)
+{
+    const int64_t B = batch->frames, S = batch->strands;
+    hg_tensor *pieces[HG_OP_INPUTS];
+    int n = 0;
+    for (int64_t row = first, end; row < first + rows; row = end) {
+        const int32_t groom = batch->groom[row % B];
+        for (end = row + 1; end < first + rows && batch->groom[end % B] == groom; end++) {
+        }
+        hg_tensor *part = subset->grooms == 1 ? in->part : hg_slice(ctx, in->part, 0, groom * S, S);
+        hg_tensor *rest = subset->grooms == 1 ? subset->rest : hg_tensor_rows(ctx, subset->rest, groom * S, S);
+        if (n == HG_OP_INPUTS) {
+            pieces[0] = hg_concat(ctx, 0, n, pieces);
+            n = 1;
+        }
+        pieces[n++] = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, in->inputs, row, end - row), rest,
+                                      hg_tensor_rows(ctx, in->rotation, row, end - row),
+                                      hg_tensor_rows(ctx, in->position, row, end - row));
+    }
+    return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
 
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
@@ -128,10 +164,9 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     if (!inputs || !rotation || !position || !body) return NULL;
 
     /* What belongs to the strands is the same at the three times. */
-    hg_tensor *part = model->strand_part(model->self, ctx, subset->features);
+    const batch_tensors in = { model->strand_part(model->self, ctx, subset->features), inputs, rotation, position };
     hg_no_grad_begin(ctx);
-    hg_tensor *past = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, inputs, 0, 2 * B), subset->rest,
-                                      hg_tensor_rows(ctx, rotation, 0, 2 * B), hg_tensor_rows(ctx, position, 0, 2 * B));
+    hg_tensor *past = predict_rows(task, ctx, batch, subset, &in, 0, 2 * B);
     hg_tensor *previous = past ? hg_tensor_rows(ctx, past, B, B) : NULL;
     hg_tensor *before = past ? hg_tensor_rows(ctx, past, 0, B) : NULL;
     hg_tensor *predicted = hg_sub(ctx, hg_scale(ctx, previous, 2, 0), before);
@@ -139,9 +174,9 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
 
     hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B),
               *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
-    hg_tensor *x = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, inputs, 2 * B, B), subset->rest, now_rotation,
-                                   now_position);
-    const hg_frame frame = { .root_rotation = now_rotation,
+    hg_tensor *x = predict_rows(task, ctx, batch, subset, &in, 2 * B, B);
+    const hg_frame frame = { .groom = batch->groom,
+                             .root_rotation = now_rotation,
                              .root_position = now_position,
                              .predicted = predicted,
                              .previous = previous,
@@ -194,7 +229,8 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 };
         hg_hair_held_out_shape(task, k, shape);
         hg_step_reset(ctx);
-        status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, &task->clips[held_out][clip], frame, shape);
+        status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, (int32_t)(k % task->n_grooms),
+                                    &task->clips[held_out][clip], frame, shape);
         if (status != HG_OK) break;
         const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
         status = hg_ctx_status(ctx);
@@ -221,7 +257,7 @@ static hg_status save(void *self, hg_h5 *file)
     HG_TRY(hg_h5_write(file, "/features/mean", HG_F64, 1, &inputs, task->mean));
     HG_TRY(hg_h5_write(file, "/features/deviation", HG_F64, 1, &inputs, task->deviation));
     HG_TRY(hg_h5_write(file, "/reference_energy", HG_F64, 1, (int64_t[]){ 1 }, &task->reference));
-    snprintf(hash, sizeof hash, "%016llx", (unsigned long long)hg_groom_hash(task->groom));
+    snprintf(hash, sizeof hash, "%016llx", (unsigned long long)hg_hair_grooms_hash(task));
     return hg_h5_set_text(file, "/", "groom_hash", hash);
 }
 
@@ -265,7 +301,7 @@ static hg_status load(void *self, hg_h5 *file)
     hg_hair_task *task = self;
     char *hash = NULL, expected[24];
     HG_TRY(hg_h5_get_text(file, "/", "groom_hash", &hash));
-    snprintf(expected, sizeof expected, "%016llx", (unsigned long long)hg_groom_hash(task->groom));
+    snprintf(expected, sizeof expected, "%016llx", (unsigned long long)hg_hair_grooms_hash(task));
     const bool same = !strcmp(hash, expected);
     hg_free(hash);
     if (!same)
@@ -435,10 +471,6 @@ void hg_hair_task_destroy(hg_hair_task *task)
     hg_free(task->features);
     hg_free(task->mean);
     hg_free(task->deviation);
-    hg_free(task->strand_raw);
-    hg_free(task->lock);
-    hg_free(task->body_distance);
-    hg_free(task->scalp_distance);
     hg_body_tree_destroy(task->tree);
     hg_poser_destroy(task->poser);
     hg_free(task->posed_body);
@@ -449,7 +481,8 @@ void hg_hair_task_destroy(hg_hair_task *task)
         }
         hg_free(task->clips[held_out]);
     }
-    hg_groom_destroy(task->groom);
+    for (int i = 0; task->styles && i <= task->n_grooms; i++) hg_hair_style_destroy(&task->styles[i]);
+    hg_free(task->styles);
     hg_body_destroy(task->body);
     for (int i = 0; i < HG_HAIR_TERMS; i++)
         for (int k = 0; k < 3; k++) hg_free(task->term_name[i][k]);
@@ -494,6 +527,12 @@ const hg_task *hg_hair_task_of(hg_hair_task *task) { return &task->task; }
 hg_model *hg_hair_model(hg_hair_task *task) { return task->model; }
 hg_train_options hg_hair_train_options(const hg_hair_task *task) { return task->options; }
 const hg_groom *hg_hair_groom(const hg_hair_task *task) { return task->groom; }
+int hg_hair_grooms(const hg_hair_task *task) { return task->n_grooms; }
+const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i)
+{
+    return i >= 0 && i < task->n_grooms ? task->styles[i].groom : NULL;
+}
+const hg_physics *hg_hair_physics(const hg_hair_task *task) { return task->subset.physics; }
 const hg_body *hg_hair_body(const hg_hair_task *task) { return task->body; }
 double hg_hair_rate(const hg_hair_task *task) { return task->rate; }
 int hg_hair_clips(const hg_hair_task *task, bool held_out) { return task->n_clips[held_out]; }

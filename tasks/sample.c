@@ -4,12 +4,12 @@
 
 #include <math.h>
 
-enum { STREAM_FRAME = 7200, STREAM_SHAPE = 7201 };
+enum { STREAM_FRAME = 7200, STREAM_SHAPE = 7201, STREAM_GROOM = 7202, FRAMES = 256 };
 
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands)
 {
     const size_t floats = (size_t)(frames * (3 * (task->layout.frame_inputs + strands * 7) + task->body_vertices * 3));
-    return sizeof(hg_hair_batch) + 64 + floats * sizeof(float) + 4 * 64;
+    return sizeof(hg_hair_batch) + 64 + floats * sizeof(float) + (size_t)frames * sizeof(int32_t) + 5 * 64;
 }
 
 static float *take(char **at, int64_t floats)
@@ -30,13 +30,16 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
     batch->rotation = take(&at, 3 * frames * strands * 4);
     batch->position = take(&at, 3 * frames * strands * 3);
     batch->body = take(&at, frames * task->body_vertices * 3);
+    batch->groom = (int32_t *)(void *)take(&at, frames);
     return batch;
 }
 
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
-                             int64_t b, const hg_hair_clip_data *clip, int64_t frame, const double shape[HG_SHAPES])
+                             int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
+                             const double shape[HG_SHAPES])
 {
     const int64_t B = batch->frames, S = batch->strands;
+    batch->groom[b] = groom;
     const int inputs = task->layout.frame_inputs;
     for (int64_t time = 0; time < 3; time++) {
         const int64_t at = frame - 2 + time, slot = time * B + b;
@@ -46,8 +49,8 @@ hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *bat
         HG_TRY(hg_pose(ctx, task->poser, shape, clip->motion, at < 0 ? 0 : at, body, NULL, NULL));
         hg_profile_end(ctx, 12 * task->body_vertices);
         hg_profile_begin(ctx, "sample", "roots");
-        HG_TRY(hg_pose_roots(ctx, task->poser, task->groom, subset->strand, S, body, batch->rotation + slot * S * 4,
-                             batch->position + slot * S * 3));
+        HG_TRY(hg_pose_roots(ctx, task->poser, task->styles[subset->first + groom].groom, subset->strand + groom * S, S,
+                             body, batch->rotation + slot * S * 4, batch->position + slot * S * 3));
         hg_profile_end(ctx, 28 * S);
         float *out = batch->inputs + slot * inputs;
         hg_hair_track_frame(&task->layout, &clip->track, at, shape, out);
@@ -62,6 +65,20 @@ void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counte
         const double beta = task->spread[k] * hg_random_normal(seed, STREAM_SHAPE, counter * HG_SHAPES + (uint64_t)k);
         shape[k] = fmin(fmax(beta, -1), 1);
     }
+}
+
+/* Which groom each frame of a step shows; frames of one groom stand together. */
+static void draw_grooms(const hg_hair_task *task, uint64_t key, uint64_t step, int64_t B, int32_t *groom)
+{
+    int64_t at = 0;
+    int32_t drawn[FRAMES];
+    for (int64_t b = 0; b < B; b++)
+        drawn[b] = task->n_grooms == 1 ? 0
+                                       : (int32_t)hg_random_below(key, STREAM_GROOM, step * (uint64_t)B + (uint64_t)b,
+                                                                  (uint64_t)task->n_grooms);
+    for (int32_t g = 0; g < task->n_grooms; g++)
+        for (int64_t b = 0; b < B; b++)
+            if (drawn[b] == g) groom[at++] = g;
 }
 
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *bytes)
@@ -79,6 +96,8 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
     const int64_t B = hg_config_integer(task->config, "training.frames");
     hg_hair_batch *batch = hg_hair_batch_lay_out(task, bytes, B, task->subset.n);
     const uint64_t key = seed * 1000003 + task->seed;
+    int32_t groom[FRAMES];
+    draw_grooms(task, key, step, B, groom);
     for (int64_t b = 0; b < B; b++) {
         const uint64_t counter = step * (uint64_t)B + (uint64_t)b;
         int64_t frame = (int64_t)hg_random_below(key, STREAM_FRAME, counter, (uint64_t)task->training_frames);
@@ -86,7 +105,7 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
         while (frame >= task->clips[0][clip].motion->frames) frame -= task->clips[0][clip++].motion->frames;
         double shape[HG_SHAPES];
         hg_hair_draw_shape(task, key, counter, shape);
-        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, b, &task->clips[0][clip], frame, shape));
+        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, b, groom[b], &task->clips[0][clip], frame, shape));
     }
     return HG_OK;
 }

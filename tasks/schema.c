@@ -13,6 +13,8 @@ static const hg_config_row rows[] = {
     { "scene.folder", HG_TEXT, "", NULL, NULL, 0, 0, "folder that the file names below are relative to" },
     { "scene.body", HG_TEXT, "", NULL, NULL, 0, 0, "body file (.h5); empty: the procedural bust" },
     { "scene.groom", HG_TEXT, "", NULL, NULL, 0, 0, "groom file (.h5); empty: grown on the body" },
+    { "scene.grooms", HG_TEXTS, "", NULL, NULL, 0, 0,
+      "several to train on at once: files (.h5) and styles of grown ones; their strands have as many vertices" },
     { "scene.motions", HG_TEXTS, "", NULL, NULL, 0, 0, "motion files (.h5) to train on; empty: procedural ones" },
     { "scene.held_out", HG_TEXTS, "", NULL, NULL, 0, 0, "motion files kept for validation and evaluation" },
     { "scene.linear_density", HG_NUMBER, "6.5e-6 kg/m", "kg/m", NULL, 1e-12, 1,

@@ -1,7 +1,7 @@
 /* strands: what the network is told of a strand: [root UV 2 | z_rest | z_lock].
  *
  * z_rest is the code of the rest strand, seen from its root in head rest space, by an autoencoder that is trained once on
- * every strand of the groom and then frozen. z_lock is the mean code of the strand's lock; locks are clusters of roots
+ * every strand of the grooms and then frozen. z_lock is the mean code of the strand's lock; locks are clusters of roots
  * in UV of the FULL groom, so that a strand has the same features whichever strands are drawn with it. The encoder is
  * kept in the run folder (encoder.h5) and in every checkpoint. */
 #include "tasks/hair.h"
@@ -18,6 +18,13 @@ typedef struct {
     int64_t n, batch;
     int inputs;
 } encoder_task;
+
+static int64_t strands_of_all(const hg_hair_task *task)
+{
+    int64_t n = 0;
+    for (int g = 0; g < task->n_grooms; g++) n += task->styles[g].groom->strands;
+    return n;
+}
 
 static hg_status encoder_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch)
 {
@@ -42,7 +49,7 @@ static hg_tensor *encoder_loss(void *self, hg_ctx *ctx, hg_model *model, const v
 
 static hg_status train_encoder(hg_hair_task *task, float *strands, int inputs, const hg_progress *progress)
 {
-    encoder_task data = { .strands = strands, .n = task->groom->strands, .inputs = inputs };
+    encoder_task data = { .strands = strands, .n = strands_of_all(task), .inputs = inputs };
     data.batch = data.n < 512 ? data.n : 512;
     const hg_task learn = { .self = &data,
                             .batch_bytes = (size_t)(data.batch * inputs) * sizeof(float),
@@ -61,67 +68,87 @@ static hg_status train_encoder(hg_hair_task *task, float *strands, int inputs, c
 
 /* ---- codes -------------------------------------------------------------------------------------------------- */
 
-/* Vertices 1.. relative to the root, by the groom's mean length: order one. */
-static float *strand_inputs(const hg_groom *groom, int inputs)
+/* Vertices 1.. relative to the root, times the scale. */
+static void strand_rows(const hg_groom *groom, int64_t first, int64_t count, int inputs, float scale, float *out)
 {
-    float *out = hg_alloc((size_t)(groom->strands * inputs), sizeof *out);
-    if (!out) return NULL;
-    double squares = 0;
-    for (int64_t s = 0; s < groom->strands; s++) {
-        const float *root = groom->points + s * groom->vertices * 3;
-        for (int i = 0; i < inputs; i++) {
-            const float d = root[3 + i] - root[i % 3];
-            out[s * inputs + i] = d;
-            squares += (double)d * (double)d;
-        }
+    for (int64_t s = 0; s < count; s++) {
+        const float *root = groom->points + (first + s) * groom->vertices * 3;
+        for (int i = 0; i < inputs; i++) out[s * inputs + i] = (root[3 + i] - root[i % 3]) * scale;
     }
-    const double spread = sqrt(squares / (double)(groom->strands * inputs));
-    const float scale = (float)(1 / fmax(spread, 1e-6));
-    for (int64_t i = 0; i < groom->strands * inputs; i++) out[i] *= scale;
+}
+
+/* So that they are of order one over all grooms. */
+static double strand_scale(const hg_hair_task *task, int inputs)
+{
+    double squares = 0, count = 0;
+    for (int g = 0; g < task->n_grooms; g++) {
+        const hg_groom *groom = task->styles[g].groom;
+        for (int64_t s = 0; s < groom->strands; s++) {
+            const float *root = groom->points + s * groom->vertices * 3;
+            for (int i = 0; i < inputs; i++) {
+                const double d = (double)(root[3 + i] - root[i % 3]);
+                squares += d * d;
+            }
+        }
+        count += (double)groom->strands * inputs;
+    }
+    return (double)(float)(1 / fmax(sqrt(squares / count), 1e-6));
+}
+
+static float *all_rows(const hg_hair_task *task, int inputs)
+{
+    float *out = hg_alloc((size_t)(strands_of_all(task) * inputs), sizeof *out);
+    int64_t at = 0;
+    for (int g = 0; out && g < task->n_grooms; at += task->styles[g++].groom->strands)
+        strand_rows(task->styles[g].groom, 0, task->styles[g].groom->strands, inputs, (float)task->strand_scale,
+                    out + at * inputs);
     return out;
 }
 
-static hg_status encode(hg_hair_task *task, float *strands, int inputs)
+static hg_status encode(hg_hair_task *task, hg_hair_style *style, int inputs)
 {
-    const int64_t n = task->groom->strands;
+    const int64_t n = style->groom->strands;
     const int latent = task->latent;
-    hg_status status = HG_OK;
+    float *rows = hg_alloc((size_t)((n < ROWS ? n : ROWS) * inputs), sizeof *rows);
+    hg_status status = rows ? HG_OK : HG_MEMORY;
     for (int64_t first = 0; status == HG_OK && first < n; first += ROWS) {
         const int64_t count = n - first < ROWS ? n - first : ROWS;
+        strand_rows(style->groom, first, count, inputs, (float)task->strand_scale, rows);
         hg_step_reset(task->ctx);
         hg_no_grad_begin(task->ctx);
-        hg_tensor *x = hg_tensor_wrap(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, strands + first * inputs);
+        hg_tensor *x = hg_tensor_wrap(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, rows);
         hg_tensor *z = hg_strand_encode(task->encoder, task->ctx, x);
         hg_no_grad_end(task->ctx);
         status = hg_ctx_status(task->ctx);
         const float *code = z ? z->data : NULL;
         for (int64_t i = 0; status == HG_OK && i < count; i++)
-            memcpy(task->strand_raw + (first + i) * task->strand_inputs + 2, code + i * latent,
+            memcpy(style->strand_raw + (first + i) * task->strand_inputs + 2, code + i * latent,
                    (size_t)latent * sizeof *code);
     }
     hg_step_reset(task->ctx);
+    hg_free(rows);
     return status;
 }
 
-static hg_status lock_codes(hg_hair_task *task)
+static hg_status lock_codes(const hg_hair_task *task, hg_hair_style *style)
 {
-    const hg_groom *groom = task->groom;
+    const hg_groom *groom = style->groom;
     const int latent = task->latent, width = task->strand_inputs;
-    double *sum = hg_alloc((size_t)(task->locks * latent), sizeof *sum);
-    int64_t *members = hg_alloc((size_t)task->locks, sizeof *members);
+    double *sum = hg_alloc((size_t)(style->locks * latent), sizeof *sum);
+    int64_t *members = hg_alloc((size_t)style->locks, sizeof *members);
     if (!sum || !members) {
         hg_free(sum);
         hg_free(members);
         return HG_MEMORY;
     }
     for (int64_t s = 0; s < groom->strands; s++) {
-        const float *code = task->strand_raw + s * width + 2;
-        members[task->lock[s]]++;
-        for (int k = 0; k < latent; k++) sum[task->lock[s] * latent + k] += (double)code[k];
+        const float *code = style->strand_raw + s * width + 2;
+        members[style->lock[s]]++;
+        for (int k = 0; k < latent; k++) sum[style->lock[s] * latent + k] += (double)code[k];
     }
     for (int64_t s = 0; s < groom->strands; s++) {
-        float *row = task->strand_raw + s * width;
-        const int32_t lock = task->lock[s];
+        float *row = style->strand_raw + s * width;
+        const int32_t lock = style->lock[s];
         row[0] = groom->root_uv[2 * s], row[1] = groom->root_uv[2 * s + 1];
         for (int k = 0; k < latent; k++) row[2 + latent + k] = (float)(sum[lock * latent + k] / (double)members[lock]);
     }
@@ -130,15 +157,34 @@ static hg_status lock_codes(hg_hair_task *task)
     return HG_OK;
 }
 
+static hg_status encode_style(hg_hair_task *task, hg_hair_style *style)
+{
+    HG_TRY(encode(task, style, (int)(style->groom->vertices - 1) * 3));
+    return lock_codes(task, style);
+}
+
 hg_status hg_hair_strands_encode(hg_hair_task *task)
 {
-    const int inputs = (int)(task->groom->vertices - 1) * 3;
-    float *strands = strand_inputs(task->groom, inputs);
-    if (!strands) return HG_MEMORY;
-    hg_status status = encode(task, strands, inputs);
-    hg_free(strands);
-    if (status == HG_OK) status = lock_codes(task);
-    return status;
+    for (int g = 0; g <= task->n_grooms; g++)
+        if (task->styles[g].strand_raw) HG_TRY(encode_style(task, &task->styles[g]));
+    return HG_OK;
+}
+
+/* Locks, and room for the features. */
+static hg_status make_style(const hg_hair_task *task, hg_hair_style *style)
+{
+    const hg_groom *groom = style->groom;
+    style->strand_raw = hg_alloc((size_t)(groom->strands * task->strand_inputs), sizeof(float));
+    style->lock = hg_alloc((size_t)groom->strands, sizeof *style->lock);
+    if (!style->strand_raw || !style->lock) return HG_MEMORY;
+    return hg_clusters(groom->strands, groom->root_uv, (int)hg_config_integer(task->config, "features.lock_size"),
+                       style->lock, &style->locks);
+}
+
+hg_status hg_hair_style_strands(hg_hair_task *task, hg_hair_style *style)
+{
+    HG_TRY(make_style(task, style));
+    return encode_style(task, style);
 }
 
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file)
@@ -149,7 +195,7 @@ hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file)
         snprintf(name, sizeof name, "/encoder/%s", param->name);
         HG_TRY(hg_h5_write(file, name, HG_F32, param->rank, param->shape, param->data));
     }
-    return HG_OK;
+    return hg_h5_write(file, "/features/strand_scale", HG_F64, 1, (int64_t[]){ 1 }, &task->strand_scale);
 }
 
 hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file)
@@ -164,6 +210,14 @@ hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file)
         hg_free(values);
         HG_TRY(status);
     }
+    if (!hg_h5_has(file, "/features/strand_scale")) return HG_OK; /* an older one: that of the groom itself */
+    double *scale = NULL;
+    HG_TRY(hg_h5_read(file, "/features/strand_scale", HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&scale));
+    const double value = scale[0];
+    hg_free(scale);
+    if (!(value > 0) || !isfinite(value))
+        return hg_fail(HG_FORMAT, "checkpoint: /features/strand_scale is %g, it has to be positive", value);
+    task->strand_scale = value;
     return HG_OK;
 }
 
@@ -182,7 +236,7 @@ static uint64_t encoder_hash(const hg_hair_task *task)
 {
     const int64_t settings[] = { task->latent, hg_config_integer(task->config, "features.encoder_width"),
                                  hg_config_integer(task->config, "features.encoder_steps"), (int64_t)task->seed };
-    const uint64_t hash = hg_hash(settings, sizeof settings, hg_groom_hash(task->groom));
+    const uint64_t hash = hg_hash(settings, sizeof settings, hg_hair_grooms_hash(task));
     const char *from = hg_config_text(task->config, "training.start_from");
     return from[0] ? hg_hash(from, strlen(from), hash) : hash;
 }
@@ -212,11 +266,8 @@ hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress
     const int inputs = (int)(groom->vertices - 1) * 3;
     task->latent = (int)hg_config_integer(task->config, "features.latent");
     task->strand_inputs = 2 + 2 * task->latent;
-    task->strand_raw = hg_alloc((size_t)(groom->strands * task->strand_inputs), sizeof(float));
-    task->lock = hg_alloc((size_t)groom->strands, sizeof *task->lock);
-    if (!task->strand_raw || !task->lock) return HG_MEMORY;
-    HG_TRY(hg_clusters(groom->strands, groom->root_uv, (int)hg_config_integer(task->config, "features.lock_size"),
-                       task->lock, &task->locks));
+    task->strand_scale = strand_scale(task, inputs);
+    for (int g = 0; g < task->n_grooms; g++) HG_TRY(make_style(task, &task->styles[g]));
     const hg_model_spec spec = { .inputs = inputs,
                                  .outputs = inputs,
                                  .width = (int)hg_config_integer(task->config, "features.encoder_width"),
@@ -237,7 +288,7 @@ hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress
         if (task->start_from) {
             status = encoder_of_start(task);
         } else {
-            float *strands = strand_inputs(groom, inputs);
+            float *strands = all_rows(task, inputs);
             status = strands ? train_encoder(task, strands, inputs, progress) : HG_MEMORY;
             hg_free(strands);
         }
@@ -258,7 +309,8 @@ hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t
                            (long long)task->groom->strands);
         float *row = out + i * (task->strand_inputs + task->rest_columns);
         const float *root = task->groom->points + s * task->groom->vertices * 3;
-        memcpy(row, task->strand_raw + s * task->strand_inputs, (size_t)task->strand_inputs * sizeof *row);
+        memcpy(row, task->styles[task->current].strand_raw + s * task->strand_inputs,
+               (size_t)task->strand_inputs * sizeof *row);
         for (int k = 0; k < task->rest_columns; k++) row[task->strand_inputs + k] = root[3 + k] - root[k % 3];
     }
     return HG_OK;

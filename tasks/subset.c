@@ -25,6 +25,8 @@ static int by_key(const void *a_, const void *b_)
     return a->item < b->item ? -1 : a->item > b->item;
 }
 
+static int64_t min_of(int64_t a, int64_t b) { return a < b ? a : b; }
+
 static int by_number(const void *a_, const void *b_)
 {
     const int32_t a = *(const int32_t *)a_, b = *(const int32_t *)b_;
@@ -39,20 +41,20 @@ static uint64_t random_key(uint64_t seed, uint64_t stream, uint64_t counter)
 }
 
 /* Turn-taking: the k-th strand of every lock comes before the (k+1)-th of any. */
-static hg_status draw_spread(const hg_hair_task *task, uint64_t stream, int64_t want, int32_t *out)
+static hg_status draw_spread(const hg_hair_style *style, uint64_t seed, uint64_t stream, int64_t want, int32_t *out)
 {
-    const int64_t strands = task->groom->strands;
+    const int64_t strands = style->groom->strands;
     keyed *order = hg_alloc((size_t)strands, sizeof *order);
-    uint64_t *taken = hg_alloc((size_t)task->locks, sizeof *taken);
+    uint64_t *taken = hg_alloc((size_t)style->locks, sizeof *taken);
     if (!order || !taken) {
         hg_free(order);
         hg_free(taken);
         return HG_MEMORY;
     }
-    for (int64_t s = 0; s < strands; s++) order[s] = (keyed){ random_key(task->seed, stream, (uint64_t)s), (int32_t)s };
+    for (int64_t s = 0; s < strands; s++) order[s] = (keyed){ random_key(seed, stream, (uint64_t)s), (int32_t)s };
     qsort(order, (size_t)strands, sizeof *order, by_key);
     for (int64_t i = 0; i < strands; i++) {
-        const uint64_t turn = taken[task->lock[order[i].item]]++;
+        const uint64_t turn = taken[style->lock[order[i].item]]++;
         order[i].key = turn << 32 | (order[i].key >> 32);
     }
     qsort(order, (size_t)strands, sizeof *order, by_key);
@@ -62,10 +64,10 @@ static hg_status draw_spread(const hg_hair_task *task, uint64_t stream, int64_t 
     return HG_OK;
 }
 
-static hg_status draw_locks(const hg_hair_task *task, uint64_t stream, int64_t want, int32_t *out)
+static hg_status draw_locks(const hg_hair_style *style, uint64_t seed, uint64_t stream, int64_t want, int32_t *out)
 {
-    const int64_t strands = task->groom->strands;
-    const int32_t locks = task->locks;
+    const int64_t strands = style->groom->strands;
+    const int32_t locks = style->locks;
     double *place = hg_alloc((size_t)locks * 3, sizeof *place), *nearest = hg_alloc((size_t)locks, sizeof *nearest);
     if (!place || !nearest) {
         hg_free(place);
@@ -73,19 +75,19 @@ static hg_status draw_locks(const hg_hair_task *task, uint64_t stream, int64_t w
         return HG_MEMORY;
     }
     for (int64_t s = 0; s < strands; s++) {
-        double *sum = place + 3 * task->lock[s];
-        sum[0] += (double)task->groom->root_uv[2 * s];
-        sum[1] += (double)task->groom->root_uv[2 * s + 1];
+        double *sum = place + 3 * style->lock[s];
+        sum[0] += (double)style->groom->root_uv[2 * s];
+        sum[1] += (double)style->groom->root_uv[2 * s + 1];
         sum[2] += 1;
     }
     for (int32_t l = 0; l < locks; l++) {
         nearest[l] = (double)INFINITY;
         if (place[3 * l + 2] > 0) place[3 * l] /= place[3 * l + 2], place[3 * l + 1] /= place[3 * l + 2];
     }
-    int32_t lock = (int32_t)hg_random_below(task->seed, stream, 0, (uint64_t)locks);
+    int32_t lock = (int32_t)hg_random_below(seed, stream, 0, (uint64_t)locks);
     for (int64_t n = 0; n < want;) {
         for (int64_t s = 0; s < strands && n < want; s++)
-            if (task->lock[s] == lock) out[n++] = (int32_t)s;
+            if (style->lock[s] == lock) out[n++] = (int32_t)s;
         nearest[lock] = -1;
         int32_t farthest = -1;
         for (int32_t l = 0; l < locks; l++) {
@@ -103,17 +105,24 @@ static hg_status draw_locks(const hg_hair_task *task, uint64_t stream, int64_t w
 
 static hg_status draw(hg_hair_subset *subset, const hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch)
 {
-    const int64_t strands = task->groom->strands;
-    const int64_t want = hg_config_integer(task->config, "training.strands");
-    subset->n = want < strands ? want : strands;
-    subset->strand = hg_alloc((size_t)subset->n, sizeof *subset->strand);
+    subset->first = purpose == HG_HAIR_EVALUATION ? task->current : 0;
+    subset->grooms = purpose == HG_HAIR_EVALUATION ? 1 : task->n_grooms;
+    subset->n = hg_config_integer(task->config, "training.strands");
+    for (int g = 0; g < subset->grooms; g++)
+        subset->n = min_of(subset->n, task->styles[subset->first + g].groom->strands);
+    subset->strand = hg_alloc((size_t)(subset->grooms * subset->n), sizeof *subset->strand);
     if (!subset->strand) return HG_MEMORY;
-    const uint64_t stream = 7100 + 2 * (uint64_t)epoch + (purpose == HG_HAIR_EVALUATION ? 1 : 0);
     const bool spread =
         purpose == HG_HAIR_EVALUATION || !strcmp(hg_config_text(task->config, "training.subset"), "spread");
-    HG_TRY(spread ? draw_spread(task, stream, subset->n, subset->strand)
-                  : draw_locks(task, stream, subset->n, subset->strand));
-    qsort(subset->strand, (size_t)subset->n, sizeof *subset->strand, by_number);
+    for (int g = 0; g < subset->grooms; g++) {
+        const int number = subset->first + g;
+        const uint64_t stream =
+            (7100 + 2 * (uint64_t)epoch + (purpose == HG_HAIR_EVALUATION ? 1 : 0)) + ((uint64_t)number << 40);
+        int32_t *strand = subset->strand + g * subset->n;
+        HG_TRY(spread ? draw_spread(&task->styles[number], task->seed, stream, subset->n, strand)
+                      : draw_locks(&task->styles[number], task->seed, stream, subset->n, strand));
+        qsort(strand, (size_t)subset->n, sizeof *strand, by_number);
+    }
     return HG_OK;
 }
 
@@ -140,24 +149,25 @@ static void measure(const hg_groom *groom, int64_t strand, double density, doubl
 
 static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
 {
-    const int64_t n = subset->n, V = task->groom->vertices;
+    const int64_t n = subset->grooms * subset->n, V = task->groom->vertices;
     double *rest = hg_alloc((size_t)(n * V) * 3, sizeof *rest), *mass = hg_alloc((size_t)(n * V), sizeof *mass);
     double *body = hg_alloc((size_t)(n * V), sizeof *body), *scalp = hg_alloc((size_t)(n * V), sizeof *scalp);
     hg_status status = rest && mass && body && scalp ? HG_OK : HG_MEMORY;
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
+        const hg_hair_style *style = &task->styles[subset->first + i / subset->n];
         const int64_t s = subset->strand[i];
-        measure(task->groom, s, linear_density(task), subset->lengths + i * (V - 1), mass + i * V);
+        measure(style->groom, s, linear_density(task), subset->lengths + i * (V - 1), mass + i * V);
         for (int64_t v = 0; v < V; v++) subset->mass[i] += mass[i * V + v];
-        for (int64_t k = 0; k < 3 * V; k++) rest[i * 3 * V + k] = (double)task->groom->points[s * 3 * V + k];
+        for (int64_t k = 0; k < 3 * V; k++) rest[i * 3 * V + k] = (double)style->groom->points[s * 3 * V + k];
         for (int64_t v = 0; v < V; v++) {
-            body[i * V + v] = (double)task->body_distance[s * V + v];
-            scalp[i * V + v] = (double)task->scalp_distance[s * V + v];
+            body[i * V + v] = (double)style->body_distance[s * V + v];
+            scalp[i * V + v] = (double)style->scalp_distance[s * V + v];
         }
     }
     if (status == HG_OK) {
         const hg_groom_attribute attributes[] = { { "body_distance", body }, { "scalp_distance", scalp } };
-        const hg_groom_data data = { .grooms = 1,
-                                     .strands = n,
+        const hg_groom_data data = { .grooms = subset->grooms,
+                                     .strands = subset->n,
                                      .vertices = V,
                                      .rest = rest,
                                      .mass = mass,
@@ -185,7 +195,7 @@ hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_h
     const int64_t V = task->groom->vertices;
     hg_status status = draw(subset, task, purpose, epoch);
     if (status == HG_OK) {
-        const int64_t n = subset->n;
+        const int64_t n = subset->grooms * subset->n;
         subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, V, 3 });
         subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ n, task->strand_inputs });
         subset->lengths = hg_alloc((size_t)(n * (V - 1)), sizeof(double));
@@ -204,12 +214,13 @@ hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *ta
     const int64_t V = task->groom->vertices;
     const int width = task->strand_inputs;
     float *rest = subset->rest->data, *features = subset->features->data;
-    for (int64_t i = 0; i < subset->n; i++) {
+    for (int64_t i = 0; i < subset->grooms * subset->n; i++) {
+        const hg_hair_style *style = &task->styles[subset->first + i / subset->n];
         const int64_t s = subset->strand[i];
-        memcpy(rest + i * V * 3, task->groom->points + s * V * 3, (size_t)V * 3 * sizeof *rest);
+        memcpy(rest + i * V * 3, style->groom->points + s * V * 3, (size_t)V * 3 * sizeof *rest);
         for (int k = 0; k < width; k++)
             features[i * width + k] =
-                (float)(((double)task->strand_raw[s * width + k] - task->mean[k]) / task->deviation[k]);
+                (float)(((double)style->strand_raw[s * width + k] - task->mean[k]) / task->deviation[k]);
     }
     hg_tensor_touch(subset->rest);
     hg_tensor_touch(subset->features);
@@ -233,19 +244,22 @@ hg_status hg_hair_evaluation_subset(hg_hair_task *task)
     return hg_hair_subset_create(&task->evaluation, task, HG_HAIR_EVALUATION, 0);
 }
 
-/* m g L of the mean strand of the groom: the unit of the loss; and m g of its mean vertex. */
+/* m g L of the mean strand of the grooms: the unit of the loss; and m g of its mean vertex. */
 double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight)
 {
-    const hg_groom *groom = task->groom;
     const double density = linear_density(task);
-    double length = 0;
-    for (int64_t s = 0; s < groom->strands; s++) {
-        const float *x = groom->points + s * groom->vertices * 3;
-        for (int64_t v = 0; v + 1 < groom->vertices; v++, x += 3)
-            length += sqrt(pow((double)x[3] - (double)x[0], 2) + pow((double)x[4] - (double)x[1], 2) +
-                           pow((double)x[5] - (double)x[2], 2));
+    double length = 0, strands = 0;
+    for (int g = 0; g < task->n_grooms; g++) {
+        const hg_groom *groom = task->styles[g].groom;
+        for (int64_t s = 0; s < groom->strands; s++) {
+            const float *x = groom->points + s * groom->vertices * 3;
+            for (int64_t v = 0; v + 1 < groom->vertices; v++, x += 3)
+                length += sqrt(pow((double)x[3] - (double)x[0], 2) + pow((double)x[4] - (double)x[1], 2) +
+                               pow((double)x[5] - (double)x[2], 2));
+        }
+        strands += (double)groom->strands;
     }
-    length /= (double)groom->strands;
-    *vertex_weight = fmax(density * length * 9.81 / (double)groom->vertices, 1e-15);
+    length /= strands;
+    *vertex_weight = fmax(density * length * 9.81 / (double)task->groom->vertices, 1e-15);
     return fmax(density * length * 9.81 * length, 1e-12);
 }

@@ -37,6 +37,9 @@ hg_status hg_hair_task_open(hg_hair_task **task, hg_ctx *ctx, const char *run_fo
 const hg_groom *hg_hair_groom(const hg_hair_task *task);
 int hg_hair_grooms(const hg_hair_task *task);                     /* trained on; hg_hair_groom is the one that is draped */
 const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i);
+/* The groom to drape and evaluate from now on: one of those trained on, by its file's name or its style, or another: a
+ * file or a style. Its strands need as many vertices. */
+hg_status hg_hair_choose_groom(hg_hair_task *task, const char *name);
 const hg_physics *hg_hair_physics(const hg_hair_task *task);
 const hg_body  *hg_hair_body(const hg_hair_task *task);
 double hg_hair_rate(const hg_hair_task *task);                    /* frames per second that the network was trained for */

@@ -34,9 +34,8 @@ static hg_status load_body(hg_hair_task *task)
     return in_config(task->config, "scene.body", status);
 }
 
-static hg_status check_groom(const hg_hair_task *task)
+static hg_status check_groom(const hg_hair_task *task, const hg_groom *groom)
 {
-    const hg_groom *groom = task->groom;
     if (groom->strands < 1 || groom->vertices < 2)
         return hg_fail(HG_INVALID, "%s: %lld strands of %lld vertices; at least one strand of two vertices is needed",
                        groom->name ? groom->name : "groom", (long long)groom->strands, (long long)groom->vertices);
@@ -50,27 +49,86 @@ static hg_status check_groom(const hg_hair_task *task)
         if (!isfinite(groom->points[i]))
             return hg_fail(HG_INVALID, "%s: strand %lld has a vertex that is not finite",
                            groom->name ? groom->name : "groom", (long long)(i / 3 / groom->vertices));
+    const hg_groom *first = task->styles[0].groom;
+    if (first && first != groom && first->vertices != groom->vertices)
+        return hg_fail(
+            HG_INVALID,
+            "%s: strands of %lld vertices, those of %s have %lld; a network has one number of vertices: import "
+            "the groom with --vertices %lld",
+            groom->name ? groom->name : "groom", (long long)groom->vertices,
+            first->name ? first->name : "the first groom", (long long)first->vertices, (long long)first->vertices);
     return HG_OK;
 }
 
-static hg_status load_groom(hg_hair_task *task)
+/* A groom from its file (`what` ends in .h5), or grown in the style `what`. */
+static hg_status make_groom(const hg_hair_task *task, hg_groom **groom, const char *what, bool in_scene)
 {
     const hg_config *config = task->config;
-    const char *name = hg_config_text(config, "scene.groom");
-    if (!name[0]) {
-        HG_TRY(hg_groom_grow(task->ctx, &task->groom, task->body, hg_config_text(config, "scene.style"),
-                             hg_config_integer(config, "scene.strands"), hg_config_integer(config, "scene.vertices"),
-                             (uint64_t)hg_config_integer(config, "scene.seed")));
-        return check_groom(task);
-    }
-    char *path = scene_path(config, name);
+    if (strcmp(hg_path_extension(what), "h5"))
+        return hg_groom_grow(task->ctx, groom, task->body, what, hg_config_integer(config, "scene.strands"),
+                             hg_config_integer(config, "scene.vertices"),
+                             (uint64_t)hg_config_integer(config, "scene.seed"));
+    char *path = in_scene ? scene_path(config, what) : hg_strdup(what);
     if (!path) return HG_MEMORY;
-    hg_status status = hg_groom_load(&task->groom, path);
-    if (status == HG_OK && task->groom->body_hash && task->groom->body_hash != hg_body_hash(task->body))
+    hg_status status = hg_groom_load(groom, path);
+    if (status == HG_OK && (*groom)->body_hash && (*groom)->body_hash != hg_body_hash(task->body))
         status = hg_fail(HG_INVALID, "%s: the groom is bound to another body; fit it to this one", path);
-    if (status == HG_OK) status = check_groom(task);
     hg_free(path);
-    return in_config(config, "scene.groom", status);
+    return status;
+}
+
+static hg_status add_style(hg_hair_task *task, int i, const char *what, bool in_scene)
+{
+    hg_hair_style *style = &task->styles[i];
+    style->name = hg_strdup(what);
+    if (!style->name) return HG_MEMORY;
+    HG_TRY(make_groom(task, &style->groom, what, in_scene));
+    return check_groom(task, style->groom);
+}
+
+static hg_status load_grooms(hg_hair_task *task)
+{
+    const hg_config *config = task->config;
+    const char *file = hg_config_text(config, "scene.groom"), *list = "scene.grooms";
+    const int listed = hg_config_count(config, list);
+    if (listed && file[0])
+        return hg_fail(HG_INVALID, "%s:%d: %s: either one groom or several", hg_config_name(config),
+                       hg_config_line(config, list), list);
+    task->styles = hg_alloc((size_t)listed + 2, sizeof *task->styles);
+    if (!task->styles) return HG_MEMORY;
+    if (listed) {
+        for (int i = 0; i < listed; i++) {
+            task->n_grooms = i + 1;
+            HG_TRY(in_config(config, list, add_style(task, i, hg_config_text_at(config, list, i), true)));
+        }
+    } else {
+        task->n_grooms = 1;
+        HG_TRY(file[0] ? in_config(config, "scene.groom", add_style(task, 0, file, true))
+                       : add_style(task, 0, hg_config_text(config, "scene.style"), true));
+    }
+    task->groom = task->styles[0].groom;
+    return HG_OK;
+}
+
+void hg_hair_style_destroy(hg_hair_style *style)
+{
+    hg_groom_destroy(style->groom);
+    hg_free(style->name);
+    hg_free(style->body_distance);
+    hg_free(style->scalp_distance);
+    hg_free(style->strand_raw);
+    hg_free(style->lock);
+    *style = (hg_hair_style){ 0 };
+}
+
+uint64_t hg_hair_grooms_hash(const hg_hair_task *task)
+{
+    uint64_t hash = hg_groom_hash(task->styles[0].groom);
+    for (int i = 1; i < task->n_grooms; i++) {
+        const uint64_t next = hg_groom_hash(task->styles[i].groom);
+        hash = hg_hash(&next, sizeof next, hash);
+    }
+    return hash;
 }
 
 static hg_status add_clip(hg_hair_task *task, bool held_out, hg_motion *motion)
@@ -149,10 +207,11 @@ static hg_status load_clips(hg_hair_task *task, bool held_out)
 }
 
 /* Distance of every rest vertex to a set of faces of the rest body. */
-static hg_status rest_distance(hg_hair_task *task, const hg_body_tree *tree, bool is_signed, float *out)
+static hg_status rest_distance(hg_hair_task *task, const hg_groom *groom, const hg_body_tree *tree, bool is_signed,
+                               float *out)
 {
     const hg_body *body = task->body;
-    const int64_t n = task->groom->strands * task->groom->vertices;
+    const int64_t n = groom->strands * groom->vertices;
     hg_body_refit *refit = NULL;
     int32_t *triangle = hg_alloc((size_t)n, sizeof *triangle);
     float *point = hg_alloc((size_t)n * 3, sizeof *point), *normal = hg_alloc((size_t)n * 3, sizeof *normal);
@@ -160,10 +219,10 @@ static hg_status rest_distance(hg_hair_task *task, const hg_body_tree *tree, boo
     if (status == HG_OK) status = hg_body_refit_update(task->ctx, refit, body->points);
     for (int64_t i = 0; status == HG_OK && i < n; i++) triangle[i] = -1;
     if (status == HG_OK)
-        status = hg_body_closest(task->ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, task->groom->points, triangle,
+        status = hg_body_closest(task->ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, groom->points, triangle,
                                  point, normal);
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
-        const float *x = task->groom->points + 3 * i, *a = point + 3 * i, *m = normal + 3 * i;
+        const float *x = groom->points + 3 * i, *a = point + 3 * i, *m = normal + 3 * i;
         float distance = 0;
         for (int k = 0; k < 3; k++) distance += m[k] * (x[k] - a[k]);
         out[i] = is_signed ? distance : fabsf(distance);
@@ -192,20 +251,21 @@ static hg_status faces_tree(hg_body_tree **tree, const hg_body *body, int64_t n,
     return status;
 }
 
-static hg_status measure_rest(hg_hair_task *task)
+static hg_status measure_rest(hg_hair_task *task, hg_hair_style *style)
 {
     const hg_body *body = task->body;
-    const size_t n = (size_t)(task->groom->strands * task->groom->vertices);
-    task->body_distance = hg_alloc(n, sizeof(float));
-    task->scalp_distance = hg_alloc(n, sizeof(float));
-    if (!task->body_distance || !task->scalp_distance) return HG_MEMORY;
+    const hg_groom *groom = style->groom;
+    const size_t n = (size_t)(groom->strands * groom->vertices);
+    style->body_distance = hg_alloc(n, sizeof(float));
+    style->scalp_distance = hg_alloc(n, sizeof(float));
+    if (!style->body_distance || !style->scalp_distance) return HG_MEMORY;
     hg_body_tree *tree = NULL;
     hg_status status = faces_tree(&tree, body, body->collider_faces, body->collider);
-    if (status == HG_OK) status = rest_distance(task, tree, true, task->body_distance);
+    if (status == HG_OK) status = rest_distance(task, groom, tree, true, style->body_distance);
     hg_body_tree_destroy(tree);
     tree = NULL;
     if (status == HG_OK) status = faces_tree(&tree, body, body->scalp_faces, body->scalp);
-    if (status == HG_OK) status = rest_distance(task, tree, false, task->scalp_distance);
+    if (status == HG_OK) status = rest_distance(task, groom, tree, false, style->scalp_distance);
     hg_body_tree_destroy(tree);
     return status;
 }
@@ -242,7 +302,7 @@ hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress)
                        "%s: the body has no scalp, so no hair can grow on it; name its scalp faces when it "
                        "is imported",
                        hg_config_text(config, "scene.body"));
-    HG_TRY(load_groom(task));
+    HG_TRY(load_grooms(task));
     HG_TRY(hg_hair_layout_create(&task->layout, config, task->body));
     HG_TRY(load_clips(task, false));
     HG_TRY(load_clips(task, true));
@@ -252,5 +312,41 @@ hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress)
     for (int k = 0; k < HG_SHAPES; k++)
         task->spread[k] = task->body->shape_spread[k] * hg_config_number(config, "shapes.spread");
     HG_TRY(make_poser(task));
-    return measure_rest(task);
+    for (int i = 0; i < task->n_grooms; i++) HG_TRY(measure_rest(task, &task->styles[i]));
+    return HG_OK;
+}
+
+/* ---- another groom ------------------------------------------------------------------------------------------ */
+
+static bool is_called(const hg_hair_style *style, const char *name)
+{
+    const char *slash = strrchr(style->name, '/'), *last = slash ? slash + 1 : style->name, *dot = strrchr(last, '.');
+    return !strcmp(style->name, name) || !strcmp(last, name) ||
+           (dot && strlen(name) == (size_t)(dot - last) && !strncmp(last, name, strlen(name)));
+}
+
+hg_status hg_hair_choose_groom(hg_hair_task *task, const char *name)
+{
+    int found = -1;
+    for (int i = 0; found < 0 && i < task->n_grooms; i++)
+        if (is_called(&task->styles[i], name)) found = i;
+    if (found < 0) { /* one that was not trained on */
+        found = task->n_grooms;
+        hg_hair_style *style = &task->styles[found];
+        hg_hair_style_destroy(style);
+        task->current = 0;
+        task->groom = task->styles[0].groom;
+        hg_hair_subset_destroy(&task->evaluation);
+        hg_status status = add_style(task, found, name, false);
+        if (status == HG_OK) status = measure_rest(task, style);
+        if (status == HG_OK) status = hg_hair_style_strands(task, style);
+        if (status != HG_OK) {
+            hg_hair_style_destroy(style);
+            return status;
+        }
+    }
+    if (found != task->current) hg_hair_subset_destroy(&task->evaluation);
+    task->current = found;
+    task->groom = task->styles[found].groom;
+    return HG_OK;
 }
