@@ -1,6 +1,8 @@
 /* hairgrad train --dry-run: what would be trained, from everything loaded and two steps made. Writes nothing. */
 #include "cli/train.h"
 
+#include <string.h>
+
 static void tell_scene(const hg_hair_task *task)
 {
     const hg_body *body = hg_hair_body(task);
@@ -32,7 +34,10 @@ static void tell_network(hg_hair_task *task)
     int columns = 0;
     for (int i = 0; i < n; i++) columns += feature[i].count;
     const hg_model *model = hg_hair_model(task);
-    printf("inputs      %d: %d of a strand, %d of a frame\n", columns, strand, columns - strand);
+    int rest = 0; /* what turned edges start from is no input of the network */
+    for (int i = 0; i < n; i++)
+        if (!strcmp(feature[i].name, "rest")) rest = feature[i].count;
+    printf("inputs      %d: %d of a strand, %d of a frame\n", columns - rest, strand - rest, columns - strand);
     printf("network     %s, %lld weights\n", model->kind, (long long)hg_model_weights(model));
     for (int i = 0; i < model->n_params; i++) {
         char shape[96];
