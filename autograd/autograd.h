@@ -42,6 +42,10 @@ hg_status  hg_graph_dot(hg_ctx *ctx, hg_text *dot);              /* the tape as 
  * The first one is an error (HG_NUMERIC) that names op, caller and element; with a path (kept, may be NULL) the inputs of
  * that call, and the gradient of its output, are written there as HDF5, to reproduce it. */
 void       hg_trap_nan(hg_ctx *ctx, bool on, const char *path);
+bool       hg_trap_is_on(const hg_ctx *ctx, const char **path);  /* path (may be NULL) gets where it writes to */
+/* Runs the call that a trap wrote again, in its own precision and in f64, forward and backward, and says for every input,
+ * output and gradient where it is not finite. HG_NUMERIC is not returned: what is not finite stands in the report. */
+hg_status  hg_trap_replay(hg_ctx *ctx, const char *path, hg_text *report);
 
 /* ---- op table ----------------------------------------------------------------------------------------------- */
 
@@ -91,6 +95,10 @@ struct hg_op {
     void (*reference)(const hg_call *call, double *out);         /* plain f64 loops, used by tests; inputs are f64 */
     bool (*kink)(const hg_call *call, int in, int64_t element, double step); /* true: finite differences are not valid here */
     hg_status (*emit)(const hg_call *call, hg_emitter *emitter); /* ONNX; NULL: cannot be exported, said by name */
+    /* For the trap, of an op with more to say than an element of a tensor: adds what is not finite to the message, and writes
+     * with a path (may be NULL) what reproduces it in a format of its own. NULL: inputs and attributes are written for
+     * hg_trap_replay; then attributes hold no pointers. */
+    hg_status (*explain)(const hg_call *call, bool backward, const char *path, hg_text *text);
 };
 #define HG_OP(name_, ...) \
     static const hg_op op_##name_ = { .name = #name_, __VA_ARGS__ }; \

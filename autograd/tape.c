@@ -289,6 +289,13 @@ void hg_trap_nan(hg_ctx *ctx, bool on, const char *path)
     t->trap_path = path;
 }
 
+bool hg_trap_is_on(const hg_ctx *ctx, const char **path)
+{
+    const tape *t = *hg_ctx_tape((hg_ctx *)ctx);
+    if (path) *path = t && t->trap ? t->trap_path : NULL;
+    return t && t->trap;
+}
+
 /* ---- backward ---- */
 
 static const char *maker_of(const tape *t, const hg_tensor *tensor)

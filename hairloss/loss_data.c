@@ -37,6 +37,8 @@ static void describe(const loss *l, const char *axes, hg_text *text)
         hg_text_add(text, "a scalar");
         return;
     }
+    const bool one = (*axes == 'b' || *axes == 'g') && axes[1] && (*axes == 'g' || l->size['b' - 'a'] == 1);
+    axes += one && l->size[*axes - 'a'] <= 1 ? 1 : 0; /* may be left out */
     for (const char *at = axes; *at; at++) {
         hg_text_add(text, at == axes ? "[" : ",");
         if (*at >= '0' && *at <= '9')
@@ -242,8 +244,10 @@ static double *spread(const loss *l, const loss_array *a)
 static hg_status read_rest(loss *l)
 {
     loss_array *a, *x = loss_find(l, "x");
-    HG_TRY(read_named(l, "rest", "gsv3", &a));
-    if (!a && needs_rest(l)) return missing(l, "rest", "sv3", "the rest groom");
+    const bool needed = needs_rest(l);
+    a = NULL;
+    if (needed || !x || hg_h5_has(l->file, "groom")) HG_TRY(read_named(l, "rest", "gsv3", &a));
+    if (!a && needed) return missing(l, "rest", "sv3", "the rest groom");
     if (*size_of(l, 's') < 0 || *size_of(l, 'v') < 0)
         return hg_fail(HG_INVALID, "%s: neither \"x\" nor \"rest\" is there to say how many strands there are",
                        l->path);

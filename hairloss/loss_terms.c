@@ -178,9 +178,9 @@ static hg_status unknown_setting(loss *l, const char *key)
     for (int i = 0; i < n; i++) hg_text_add(&all, "%s%s", i ? ", " : "", names[i]);
     const char *near = hg_nearest_of(key, names, n);
     const hg_status status =
-        hg_fail(HG_INVALID, "%s%s has no parameter or option \"%s\"%s%s%s; it has %s", l->term[0].energy->name,
-                l->n_terms > 1 ? "+..." : "", key, near ? "; did you mean \"" : "", near ? near : "", near ? "\"?" : "",
-                n && all.data ? all.data : "none");
+        hg_fail(HG_INVALID, "%s%s has no parameter or option \"%s\"%s%s%s it has %s", l->term[0].energy->name,
+                l->n_terms > 1 ? "+..." : "", key, near ? "; did you mean \"" : "", near ? near : "",
+                near ? "\"?" : ";", n && all.data ? all.data : "none");
     hg_text_free(&all);
     return status;
 }
