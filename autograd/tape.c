@@ -423,31 +423,41 @@ static double norm_of(const hg_tensor *tensor)
     return sqrt(sum);
 }
 
-static void draw_leaf(hg_text *dot, const hg_tensor *tensor)
+/* What a tensor is called in the drawing, the same in every run: by the call that made it, or that first read it. */
+typedef struct {
+    int call, input; /* input -1: the call's output */
+} drawn;
+
+static drawn find_drawn(const tape *t, const hg_tensor *tensor, int before)
+{
+    for (int i = before; i-- > 0;)
+        if (t->records[i]->call.out == tensor) return (drawn){ i, -1 };
+    for (int i = 0; i < t->n; i++)
+        for (int j = 0; j < t->records[i]->call.n_in; j++)
+            if (t->records[i]->call.in[j] == tensor) return (drawn){ i, j };
+    return (drawn){ before, -1 };
+}
+
+static void draw_name(hg_text *dot, drawn d)
+{
+    if (d.input < 0)
+        hg_text_add(dot, "call%d", d.call);
+    else
+        hg_text_add(dot, "call%d_input%d", d.call, d.input);
+}
+
+static void draw_leaf(hg_text *dot, drawn d, const hg_tensor *tensor)
 {
     char shape[96];
-    hg_text_add(dot, "  t%p [shape=%s label=\"%s\\n%s", (const void *)tensor, tensor->owned ? "box" : "ellipse",
+    hg_text_add(dot, "  ");
+    draw_name(dot, d);
+    hg_text_add(dot, " [shape=%s label=\"%s\\n%s", tensor->owned ? "box" : "ellipse",
                 tensor->name            ? tensor->name
                 : hg_needs_grad(tensor) ? "leaf"
                                         : "constant",
                 hg_shape_text(tensor, shape));
     if (hg_grad(tensor)) hg_text_add(dot, "\\n|gradient| %.3g", norm_of(hg_grad(tensor)));
     hg_text_add(dot, "\"];\n");
-}
-
-static bool is_made_here(const tape *t, const hg_tensor *tensor, int before)
-{
-    for (int i = 0; i < before; i++)
-        if (t->records[i]->call.out == tensor) return true;
-    return false;
-}
-
-static bool was_drawn(const tape *t, const hg_tensor *tensor, int call, int input)
-{
-    for (int i = 0; i <= call; i++)
-        for (int j = 0; j < (i == call ? input : t->records[i]->call.n_in); j++)
-            if (t->records[i]->call.in[j] == tensor) return true;
-    return false;
 }
 
 hg_status hg_graph_dot(hg_ctx *ctx, hg_text *dot)
@@ -458,15 +468,16 @@ hg_status hg_graph_dot(hg_ctx *ctx, hg_text *dot)
     hg_text_add(dot, "digraph tape {\n  rankdir=TB; node [fontname=\"sans-serif\" fontsize=10];\n");
     for (int i = 0; i < t->n; i++) {
         const hg_call *call = &t->records[i]->call;
-        hg_text_add(dot, "  t%p [shape=record label=\"{%s|%s", (const void *)call->out, call->op->name,
-                    hg_shape_text(call->out, shape));
+        hg_text_add(dot, "  call%d [shape=record label=\"{%s|%s", i, call->op->name, hg_shape_text(call->out, shape));
         if (hg_grad(call->out)) hg_text_add(dot, "|gradient %.3g", norm_of(hg_grad(call->out)));
         hg_text_add(dot, "}\"];\n");
         for (int j = 0; j < call->n_in; j++) {
             if (!call->in[j]) continue;
-            if (!is_made_here(t, call->in[j], i) && !was_drawn(t, call->in[j], i, j)) draw_leaf(dot, call->in[j]);
-            hg_text_add(dot, "  t%p -> t%p [label=\"%d\" fontsize=8];\n", (const void *)call->in[j],
-                        (const void *)call->out, j);
+            const drawn d = find_drawn(t, call->in[j], i);
+            if (d.input == j && d.call == i) draw_leaf(dot, d, call->in[j]);
+            hg_text_add(dot, "  ");
+            draw_name(dot, d);
+            hg_text_add(dot, " -> call%d [label=\"%d\" fontsize=8];\n", i, j);
         }
     }
     hg_text_add(dot, "}\n");

@@ -240,7 +240,10 @@ static hg_status run_again(hg_ctx *ctx, saved_call *call, hg_text *text)
 hg_status hg_trap_replay(hg_ctx *ctx, const char *path, hg_text *report)
 {
     hg_h5 *file;
+    const char *trap_path;
     HG_TRY(hg_h5_open(&file, path));
+    const bool trap = hg_trap_is_on(ctx, &trap_path); /* what is not finite is what is looked for */
+    hg_trap_nan(ctx, false, NULL);
     hg_status status = HG_OK;
     for (int in_f64 = 0; in_f64 < 2 && status == HG_OK; in_f64++) {
         saved_call call;
@@ -251,6 +254,7 @@ hg_status hg_trap_replay(hg_ctx *ctx, const char *path, hg_text *report)
         if (status == HG_OK) status = run_again(ctx, &call, report);
     }
     hg_step_reset(ctx);
+    hg_trap_nan(ctx, trap, trap_path);
     hg_h5_close(file);
     return status;
 }

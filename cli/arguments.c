@@ -193,3 +193,14 @@ bool cli_context(hg_ctx **ctx, const hg_arguments *arguments)
                                .device = cli_value(arguments, "device", NULL) };
     return hg_ctx_create(ctx, &options) == HG_OK;
 }
+
+hg_status cli_trap(hg_ctx *ctx, const hg_arguments *arguments, const char *folder, char **path)
+{
+    *path = NULL;
+    if (!cli_flag(arguments, "trap-nan")) return HG_OK;
+    HG_TRY(hg_folder_create(folder));
+    *path = hg_path_join(folder, "nan.h5");
+    if (!*path) return HG_MEMORY;
+    hg_trap_nan(ctx, true, *path);
+    return hg_ctx_status(ctx);
+}

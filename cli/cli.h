@@ -34,6 +34,9 @@ hg_progress cli_progress(void);                               /* one line on std
 void        cli_progress_end(void);
 bool        cli_context(hg_ctx **ctx, const hg_arguments *arguments);             /* --threads, --seed, --device */
 #define CLI_CONTEXT_OPTIONS { "threads", "N", "threads to use (default: all cores)", false }, { "seed", "N", "seed of everything random (default 1)", false }
+/* --trap-nan: the trap is set, and writes nan.h5 into the folder (made where it is not there). path is the caller's. */
+hg_status   cli_trap(hg_ctx *ctx, const hg_arguments *arguments, const char *folder, char **path);
+#define CLI_TRAP_OPTION { "trap-nan", NULL, "stop at the first number that is not finite: op or energy, strand, vertex; nan.h5 has what reproduces it", false }
 bool        cli_interrupted(void *);                          /* true after SIGINT or SIGTERM, once cli_catch_signals was called */
 void        cli_catch_signals(void);
 

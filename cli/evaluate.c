@@ -95,8 +95,11 @@ static int evaluate(const hg_arguments *arguments)
 {
     hg_ctx *ctx = NULL;
     if (!cli_context(&ctx, arguments)) return 1;
-    const hg_status status = evaluate_run(ctx, arguments);
+    char *trap = NULL;
+    hg_status status = cli_trap(ctx, arguments, arguments->free[0], &trap);
+    if (status == HG_OK) status = evaluate_run(ctx, arguments);
     hg_ctx_destroy(ctx);
+    hg_free(trap);
     return status == HG_OK ? 0 : cli_fail();
 }
 
@@ -106,6 +109,7 @@ static const hg_argument evaluate_options[] = {
     { "groom", "NAME", "a groom of the run, another file (.h5) or a style (default: the run's first)", false },
     { "shape", "NUMBERS", "body shape, like 0.5,0,-1 (default: shapes that training does not draw)", false },
     { "json", "FILE", "write the metrics there too", false },
+    CLI_TRAP_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

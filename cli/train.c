@@ -56,6 +56,7 @@ static hg_status train_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
         options.resume = resume;
         options.allow_other_backend = cli_flag(arguments, "other-backend");
         options.stop = cli_interrupted;
+        options.graph = cli_value(arguments, "graph", NULL);
         double minutes = 0;
         if (cli_value(arguments, "minutes", NULL) && !cli_number(arguments, "minutes", &minutes))
             status = hg_fail(HG_INVALID, "--minutes %s: expected a number", cli_value(arguments, "minutes", ""));
@@ -80,8 +81,11 @@ static int train(const hg_arguments *arguments)
     }
     if (!cli_context(&ctx, arguments)) return 1;
     hg_train_result result = { 0 };
-    const hg_status status = train_run(ctx, arguments, folder, &result);
+    char *trap = NULL;
+    hg_status status = cli_trap(ctx, arguments, folder, &trap);
+    if (status == HG_OK) status = train_run(ctx, arguments, folder, &result);
     hg_ctx_destroy(ctx);
+    hg_free(trap);
     if (status != HG_OK) return cli_fail();
     if (dry) return 0;
     if (result.early) printf("stopped early: the validation no longer gets better\n");
@@ -101,6 +105,8 @@ static const hg_argument train_options[] = {
     { "dry-run", NULL, "load and check everything, say what would be trained, make two steps; write nothing", false },
     { "minutes", "N", "stop after so many minutes; the learning rate comes down by then", false },
     { "other-backend", NULL, "resume although another back end computed the checkpoint", false },
+    { "graph", "FILE.dot", "draw the tape of the first step: ops, shapes, norms of gradients (Graphviz)", false },
+    CLI_TRAP_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

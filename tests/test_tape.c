@@ -344,6 +344,30 @@ static void test_trap(void **state)
     hg_free(input);
     hg_h5_close(file);
     hg_ctx_clear(ctx);
+    /* A call with attributes, in its backward: run again from its file, and in f64, where nothing overflows. */
+    float large[3] = { 1e19f, 2e19f, 3 };
+    hg_tensor *big = leaf(ctx, "big", 3, large), *line = hg_reshape(ctx, big, 2, (int64_t[]){ 3, 1 });
+    hg_tensor *squares = hg_sum_axis(ctx, line, 0, false), *far = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ 1 });
+    assert_non_null(squares);
+    assert_int_equal(hg_tensor_fill(far, 3e38), HG_OK);
+    assert_int_equal(hg_ctx_status(ctx), HG_OK);
+    assert_null(hg_mul(ctx, squares, far));
+    assert_non_null(strstr(hg_ctx_message(ctx), "hairgrad replay "));
+    hg_ctx_clear(ctx);
+    hg_text report = { 0 };
+    assert_int_equal(hg_trap_replay(ctx, path, &report), HG_OK);
+    assert_non_null(strstr(report.data, "mul: "));
+    assert_non_null(strstr(report.data, ", inf at [0]"));
+    assert_null(strstr(strstr(report.data, "in f64"), "inf"));
+    hg_text_free(&report);
+    /* One that is no trap's. */
+    assert_int_equal(hg_h5_create(&file, path), HG_OK);
+    assert_int_equal(hg_h5_set_text(file, "/", "op", "mull"), HG_OK);
+    assert_int_equal(hg_h5_commit(file), HG_OK);
+    assert_int_equal(hg_trap_replay(ctx, path, &report), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "\"mull\", which is not known"));
+    hg_tensor_destroy(big);
+    hg_ctx_clear(ctx);
     /* Finite forward, not backward; and a file that cannot be written. */
     hg_trap_nan(ctx, true, "/no/such/folder/trap.h5");
     hg_tensor *y = hg_sum(ctx, hg_scale(ctx, hg_add(ctx, a, zero), 1e30, 0)),

@@ -105,6 +105,17 @@ static hg_status resume(run *r)
     return status;
 }
 
+/* The tape of the first step of this session, as Graphviz. */
+static hg_status draw_graph(const run *r)
+{
+    if (!r->options->graph || r->state.step != r->first_step) return HG_OK;
+    hg_text dot = { 0 };
+    hg_status status = hg_graph_dot(r->ctx, &dot);
+    if (status == HG_OK) status = hg_file_write(r->options->graph, dot.data, dot.size);
+    hg_text_free(&dot);
+    return status;
+}
+
 static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
 {
     const hg_train_options *options = r->options;
@@ -121,11 +132,15 @@ static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
     if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %llu", (unsigned long long)step + 1);
     r->loss = hg_tensor_item(loss, 0);
     if (!isfinite(r->loss))
-        return hg_fail(HG_NUMERIC, "trainer: the loss is %g at step %llu; try a smaller learning rate", r->loss,
-                       (unsigned long long)step + 1);
+        return hg_fail(
+            HG_NUMERIC,
+            "trainer: the loss is %g at step %llu; try a smaller learning rate, or --trap-nan to see where it "
+            "comes from",
+            r->loss, (unsigned long long)step + 1);
     hg_profile_begin(r->ctx, "step", "backward");
     HG_TRY(hg_backward(r->ctx, loss));
     hg_profile_end(r->ctx, 0);
+    HG_TRY(draw_graph(r));
     *rate = learning_rate(options, r->state.step, elapsed(r));
     HG_TRY(hg_adam_step(r->adam, *rate, options->beta1, options->beta2, options->epsilon, options->weight_decay,
                         options->clip, norm));
