@@ -32,6 +32,7 @@ void cli_print_command(FILE *to, const hg_command *command)
         fputs("\noptions:\n", to);
         cli_print_options(to, command->options, (size_t)command->n_options);
     }
+    if (command->help != NULL) command->help(to);
     if (command->more != NULL)
         fprintf(to, "\n%s%s", command->more,
                 command->more[0] != '\0' && command->more[strlen(command->more) - 1] == '\n' ? "" : "\n");

@@ -20,6 +20,7 @@ typedef struct {
     int min_free, max_free;
     int (*run)(const hg_arguments *arguments);     /* 0, or 1 after cli_fail; parsing errors are 2 */
     const char *more;                              /* shown by --help: examples */
+    void (*help)(FILE *to);                        /* shown by --help before them, where it depends on what is registered; may be NULL */
 } hg_command;
 #define HG_COMMAND(name_, ...) \
     static const hg_command command_##name_ = { .name = #name_, __VA_ARGS__ }; \

@@ -15,47 +15,55 @@ static hg_status of_file(hg_status status, const char *path)
     return status;
 }
 
+/* What the options say of the file. --unit is a name (cm) or a length (2.5 cm). */
+static hg_status read_import(const hg_arguments *arguments, hg_import *with)
+{
+    const char *unit = cli_value(arguments, "unit", NULL), *up = cli_value(arguments, "up", NULL);
+    *with = (hg_import){ .rig = cli_value(arguments, "rig", NULL),
+                         .scalp = cli_value(arguments, "scalp", NULL),
+                         .skeleton = cli_value(arguments, "skeleton", NULL),
+                         .animation = cli_value(arguments, "animation", NULL) };
+    if (up && strcmp(up, "y") != 0 && strcmp(up, "z") != 0) return hg_fail(HG_INVALID, "--up %s: y or z", up);
+    if (up) with->up = *up;
+    if (!unit) return HG_OK;
+    char *text = hg_format("1 %s", unit);
+    hg_status status = text ? hg_unit_parse(text, "m", &with->unit) : HG_MEMORY;
+    hg_free(text);
+    HG_TRY(status);
+    return with->unit > 0 ? HG_OK : hg_fail(HG_INVALID, "--unit %s: more than nothing", unit);
+}
+
+static void say_notes(hg_text *notes)
+{
+    if (notes->size > 0) printf("%s", notes->data);
+    hg_text_free(notes);
+}
+
 /* ---- body ---------------------------------------------------------------------------------------------------- */
 
-static hg_status import_body(hg_ctx *ctx, const char *folder, const hg_arguments *arguments, const char *output)
+static hg_status import_body(hg_ctx *ctx, const char *path, const hg_arguments *arguments, const char *output)
 {
     hg_body *body = NULL;
-    HG_TRY(hg_body_read_makehuman(ctx, &body, folder, cli_value(arguments, "rig", "cmu_mb")));
-    hg_status status = hg_body_save(body, output);
+    hg_import with;
+    hg_text notes = { 0 };
+    HG_TRY(read_import(arguments, &with));
+    hg_status status = hg_body_read(ctx, &body, path, &with, &notes);
+    if (status == HG_OK) status = of_file(hg_body_save(body, output), path);
     if (status == HG_OK) {
+        int shapes = 0;
+        for (int k = 0; k < HG_SHAPES; k++) shapes += body->shape_spread[k] > 0;
         printf("%s: %lld vertices, %lld faces, %lld joints, %d shape directions\n", output, (long long)body->vertices,
-               (long long)body->faces, (long long)body->joints, HG_SHAPES);
+               (long long)body->faces, (long long)body->joints, shapes);
         printf("scalp %lld faces, collider %lld faces (the part above the chest that can be seen from outside)\n",
                (long long)body->scalp_faces, (long long)body->collider_faces);
+        say_notes(&notes);
     }
+    hg_text_free(&notes);
     hg_body_destroy(body);
     return status;
 }
 
 /* ---- motion -------------------------------------------------------------------------------------------------- */
-
-static bool has_extension(const char *path, const char *extension)
-{
-    const char *given = hg_path_extension(path);
-    size_t i = 0;
-    for (; given[i] && extension[i]; i++)
-        if ((given[i] | 0x20) != extension[i]) return false;
-    return given[i] == extension[i];
-}
-
-static hg_status read_clip(hg_clip **clip, const char *path, const hg_arguments *arguments)
-{
-    const char *skeleton = cli_value(arguments, "skeleton", NULL);
-    if (has_extension(path, "bvh")) {
-        if (skeleton) return hg_fail(HG_INVALID, "--skeleton belongs to an .amc file; %s has its own", path);
-        return hg_clip_read_bvh(clip, path);
-    }
-    if (has_extension(path, "amc")) {
-        if (!skeleton) return hg_fail(HG_INVALID, "%s: an .amc file needs its skeleton: --skeleton X.asf", path);
-        return hg_clip_read_amc(clip, skeleton, path);
-    }
-    return hg_fail(HG_UNSUPPORTED, "%s: a motion is read from .bvh, or from .amc with --skeleton X.asf", path);
-}
 
 static hg_status import_motion(hg_ctx *ctx, const char *path, const hg_arguments *arguments, const char *output)
 {
@@ -67,8 +75,12 @@ static hg_status import_motion(hg_ctx *ctx, const char *path, const hg_arguments
     hg_body *body = NULL;
     hg_clip *clip = NULL;
     hg_motion *motion = NULL;
+    hg_import with;
+    hg_text notes = { 0 };
+    HG_TRY(read_import(arguments, &with));
     hg_status status = hg_body_load(&body, body_path);
-    if (status == HG_OK) status = read_clip(&clip, path, arguments);
+    with.body = body;
+    if (status == HG_OK) status = hg_clip_read(&clip, path, &with, &notes);
     if (status == HG_OK) status = of_file(hg_clip_retarget(&motion, clip, body, rate), path);
     if (status == HG_OK) {
         const char *name = strrchr(path, '/');
@@ -80,6 +92,8 @@ static hg_status import_motion(hg_ctx *ctx, const char *path, const hg_arguments
         printf("%s: %lld frames of %lld joints at %g per second, %.1f s (the file has %lld at %g)\n", output,
                (long long)motion->frames, (long long)motion->joints, motion->rate,
                (double)motion->frames / motion->rate, (long long)clip->frames, clip->rate);
+    if (status == HG_OK) say_notes(&notes);
+    hg_text_free(&notes);
     hg_motion_destroy(motion);
     hg_clip_destroy(clip);
     hg_body_destroy(body);
@@ -156,22 +170,17 @@ static hg_status get_similarity(hg_ctx *ctx, const hg_arguments *arguments, cons
 
 static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments *arguments, const char *output)
 {
-    const char *body_path = cli_value(arguments, "body", NULL), *up = cli_value(arguments, "up", "y");
+    const char *body_path = cli_value(arguments, "body", NULL);
     int64_t vertices = 25;
-    double unit = 1;
-    char *unit_text = hg_format("1 %s", cli_value(arguments, "unit", "m"));
-    if (!unit_text) return HG_MEMORY;
-    hg_status status = hg_unit_parse(unit_text, "m", &unit);
-    hg_free(unit_text);
-    HG_TRY(status);
+    hg_import with;
+    HG_TRY(read_import(arguments, &with));
+    double unit = with.unit > 0 ? with.unit : 1;
+    bool z_up = with.up == 'z';
     if (!body_path)
         return hg_fail(HG_INVALID, "import groom needs --body BODY.h5, the body that the hair is to grow on");
     if (!cli_integer(arguments, "vertices", &vertices)) return HG_INVALID;
     if (vertices < 2 || vertices > 1024)
         return hg_fail(HG_INVALID, "--vertices %lld: 2 to 1024 are possible", (long long)vertices);
-    bool z_up = strcmp(up, "z") == 0;
-    if (!z_up && strcmp(up, "y") != 0) return hg_fail(HG_INVALID, "--up %s: y or z", up);
-    if (!(unit > 0)) return hg_fail(HG_INVALID, "--unit %s: more than nothing", cli_value(arguments, "unit", "m"));
 
     hg_body *body = NULL;
     hg_curves *curves = NULL;
@@ -179,7 +188,7 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     hg_groom_report read = { 0 };
     hg_fit_report fitted = { 0 };
     hg_similarity similarity;
-    status = hg_body_load(&body, body_path);
+    hg_status status = hg_body_load(&body, body_path);
     if (status == HG_OK) status = hg_curves_read(&curves, path);
     if (status == HG_OK) {
         hg_curves_to_world(curves, unit, z_up);
@@ -237,21 +246,48 @@ static const hg_argument import_options[] = {
     { "output", "FILE.h5", "where to write (-o)", false },
     { "body", "BODY.h5", "groom, motion: the body it is for", false },
     { "vertices", "N", "groom: vertices per strand, by arc length (default 25)", false },
-    { "unit", "UNIT", "groom: of the file and of --source-mesh: m, cm, mm, inch (default m)", false },
-    { "up", "y|z", "groom: axis that is up in the file (default y)", false },
+    { "unit", "UNIT", "of the file, and of --source-mesh: m, cm, mm, inch (default m)", false },
+    { "up", "y|z", "axis that is up in the file (default y; AMASS z)", false },
     { "similarity", "S,X,Y,Z", "groom: x' = S x + (X,Y,Z) takes its head to the body, in metres, +Y up", false },
     { "find", NULL, "groom: find that similarity from --source-mesh", false },
     { "source-mesh", "HEAD.obj", "groom: the head it was made for", false },
     { "rig", "NAME", "body: rig.NAME.json and weights.NAME.json (default cmu_mb)", false },
-    { "skeleton", "X.asf", "motion: the skeleton of an .amc clip", false },
+    { "scalp", "FILE|LENGTH", "body: faces that carry hair, by number, or all so near the top of the head (\"9 cm\")",
+      false },
+    { "skeleton", "FILE", "motion: the .asf of an .amc clip; the SMPL-like body of an AMASS clip", false },
+    { "animation", "NAME", "motion: of a glTF file, by name or number (default: the first)", false },
     { "rate", "N", "motion: frames per second to write (default 30)", false },
     CLI_CONTEXT_OPTIONS,
 };
 
+/* What can be imported, from the readers that are there. */
+static void list_readers(FILE *to)
+{
+    static const struct {
+        const char *kind, *title;
+    } kinds[] = { { "groom reader", "grooms" }, { "body reader", "bodies" }, { "motion reader", "motions" } };
+    for (int k = 0; k < 3; k++) {
+        const char *names[64];
+        int n = hg_list(kinds[k].kind, names, 64);
+        fprintf(to, "\n%s:\n", kinds[k].title);
+        for (int i = 0; i < n && i < 64; i++) {
+            const hg_groom_reader *groom = k == 0 ? hg_find(kinds[k].kind, names[i]) : NULL;
+            const hg_body_reader *body = k == 1 ? hg_find(kinds[k].kind, names[i]) : NULL;
+            const hg_clip_reader *clip = k == 2 ? hg_find(kinds[k].kind, names[i]) : NULL;
+            const char *extension = groom ? groom->extension : body ? body->extension : clip->extension;
+            const char *what = groom ? groom->what : body ? body->what : clip->what;
+            fprintf(to, "  %s%-*s %s\n", *extension ? "." : "", *extension ? 11 : 12,
+                    *extension ? extension : "a folder", what);
+        }
+    }
+}
+
 HG_COMMAND(import, .what = "bring a groom, a body or a motion into the files used here",
-           .usage = "groom FILE | body FOLDER | motion FILE", .options = import_options,
+           .usage = "groom FILE | body FILE|FOLDER | motion FILE", .options = import_options,
            .n_options = (int)(sizeof import_options / sizeof *import_options), .min_free = 2, .max_free = 2,
-           .run = import,
+           .run = import, .help = list_readers,
            .more = "hairgrad import body data/bodies -o body.h5\n"
+                   "hairgrad import body smpl.npz --scalp \"10 cm\" -o body.h5\n"
                    "hairgrad import groom hair.tfx --body body.h5 --find --source-mesh head.obj -o groom.h5\n"
-                   "hairgrad import motion 01_01.amc --skeleton 01.asf --body body.h5 -o motion.h5\n");
+                   "hairgrad import motion 01_01.amc --skeleton 01.asf --body body.h5 -o motion.h5\n"
+                   "hairgrad import motion character.glb --animation Walking --body body.h5 -o motion.h5\n");

@@ -1,5 +1,6 @@
 /* Bodies: memory, files, and the scalp projection. */
 #include "scene/internal.h"
+#include "scene/joints.h"
 
 #include <string.h>
 
@@ -26,9 +27,10 @@ void hg_body_destroy(hg_body *body)
 
 int hg_body_joint(const hg_body *body, const char *name)
 {
-    for (int64_t j = 0; j < body->joints; j++)
-        if (strcmp(body->joint_name[j], name) == 0) return (int)j;
-    return -1;
+    int joint = joints_find(body->joint_name, body->joints, name);
+    const joint_row *row = joint < 0 ? joints_row(name, JOINTS_OWN) : NULL;
+    if (!row) return joint;
+    return joints_find_row(body->joint_name, body->joints, row, joints_family(body->joint_name, body->joints));
 }
 
 uint64_t hg_body_hash(const hg_body *b)

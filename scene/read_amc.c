@@ -307,3 +307,13 @@ hg_status hg_clip_read_amc(hg_clip **clip, const char *asf, const char *amc)
         hg_clip_destroy(s.clip);
     return status;
 }
+
+static hg_status read_file(hg_clip **clip, const char *path, const hg_import *with, hg_text *notes)
+{
+    (void)notes;
+    if (!with->skeleton) return hg_fail(HG_INVALID, "%s: an .amc file needs its skeleton: --skeleton X.asf", path);
+    return hg_clip_read_amc(clip, with->skeleton, path);
+}
+
+static const hg_clip_reader reader = { .extension = "amc", .what = "CMU motion, with its .asf", .read = read_file };
+HG_REGISTER("motion reader", amc, &reader);

@@ -227,3 +227,13 @@ hg_status hg_clip_read_bvh(hg_clip **clip, const char *path)
         hg_clip_destroy(b.clip);
     return status;
 }
+
+static hg_status read_clip(hg_clip **clip, const char *path, const hg_import *with, hg_text *notes)
+{
+    (void)notes;
+    if (with->skeleton) return hg_fail(HG_INVALID, "--skeleton belongs to an .amc file; %s has its own", path);
+    return hg_clip_read_bvh(clip, path);
+}
+
+static const hg_clip_reader reader = { .extension = "bvh", .what = "Biovision motion", .read = read_clip };
+HG_REGISTER("motion reader", bvh, &reader);

@@ -5,8 +5,7 @@
  * joint therefore gets its own ten shape directions, which is exact because everything is linear.
  */
 #include "scene/lines.h"
-#include "scene/scene.h"
-#include "scene/visible.h"
+#include "scene/skin.h"
 
 #include "geometry/vector.h"
 
@@ -335,23 +334,6 @@ static hg_status read_rig(maker *m)
 
 /* ---- weights ------------------------------------------------------------------------------------------------- */
 
-/* Adds to the influences of a vertex; when all places are taken, the smallest gives way. */
-static void add_influence(int32_t *joints, float *weights, int joint, float weight)
-{
-    int place = 0;
-    for (int i = 0; i < HG_INFLUENCES; i++) {
-        if (weights[i] > 0 && joints[i] == joint) {
-            weights[i] += weight;
-            return;
-        }
-        if (weights[i] < weights[place]) place = i;
-    }
-    if (weight > weights[place]) {
-        joints[place] = joint;
-        weights[place] = weight;
-    }
-}
-
 static hg_status read_weights(maker *m)
 {
     hg_body *body = m->body;
@@ -377,22 +359,14 @@ static hg_status read_weights(maker *m)
                                m->weights_path, bone->string);
             int64_t v = m->number[(int64_t)vertex->valuedouble];
             if (v >= 0)
-                add_influence(body->influence + v * HG_INFLUENCES, body->weight + v * HG_INFLUENCES, joint,
-                              (float)weight->valuedouble);
+                skin_add(body->influence + v * HG_INFLUENCES, body->weight + v * HG_INFLUENCES, joint,
+                         (float)weight->valuedouble);
         }
     }
-    for (size_t v = 0; v < n; v++) {
-        float *weight = body->weight + v * HG_INFLUENCES;
-        double sum = 0;
-        for (int i = 0; i < HG_INFLUENCES; i++) sum += (double)weight[i];
-        if (!(sum > 1e-6))
-            return hg_fail(HG_FORMAT, "%s: vertex %d of the body has no weight", m->weights_path, m->vertex[v]);
-        for (int i = 0; i < HG_INFLUENCES; i++) weight[i] = (float)((double)weight[i] / sum);
-    }
-    return HG_OK;
+    return skin_normalise(m->weights_path, body, m->vertex);
 }
 
-/* ---- scalp and collider -------------------------------------------------------------------------------------- */
+/* ---- scalp --------------------------------------------------------------------------------------------------- */
 
 static double joint_weight(const hg_body *body, int64_t vertex, int joint)
 {
@@ -460,23 +434,6 @@ static hg_status find_scalp(maker *m)
     return HG_OK;
 }
 
-/* Faces wholly above the chest that can be seen from outside; with a rig without that joint, all that can be seen. */
-static hg_status find_collider(maker *m)
-{
-    hg_body *body = m->body;
-    int chest = find_joint(body, "Spine1");
-    float lowest = chest >= 0 ? body->joint[3 * chest + 1] : -INFINITY;
-    body->collider = hg_alloc((size_t)body->faces, sizeof *body->collider);
-    if (!body->collider) return HG_MEMORY;
-    for (int64_t f = 0; f < body->faces; f++) {
-        bool above = true;
-        for (int k = 0; k < 3; k++) above &= body->points[3 * (int64_t)body->triangles[3 * f + k] + 1] > lowest;
-        if (above) body->collider[body->collider_faces++] = (int32_t)f;
-    }
-    return scene_visible_faces(m->folder, body->vertices, body->points, body->faces, body->triangles, body->collider,
-                               &body->collider_faces);
-}
-
 /* ---- all together -------------------------------------------------------------------------------------------- */
 
 static hg_status make(maker *m)
@@ -493,7 +450,7 @@ static hg_status make(maker *m)
     HG_TRY(read_rig(m));
     HG_TRY(read_weights(m));
     HG_TRY(find_scalp(m));
-    return find_collider(m);
+    return skin_find_collider(m->folder, m->body);
 }
 
 hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder, const char *rig)
@@ -520,3 +477,17 @@ hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder
         hg_body_destroy(m.body);
     return status;
 }
+
+static hg_status read_folder(hg_ctx *ctx, hg_body **body, const char *folder, const hg_import *with, hg_text *notes)
+{
+    (void)notes;
+    if (with->scalp || with->unit > 0 || with->up)
+        return hg_fail(HG_INVALID, "%s: scalp, unit and axes of the MakeHuman body are known: no --scalp, --unit, --up",
+                       folder);
+    return hg_body_read_makehuman(ctx, body, folder, with->rig ? with->rig : "cmu_mb");
+}
+
+static const hg_body_reader reader = { .extension = "",
+                                       .what = "MakeHuman base mesh with an MPFB rig",
+                                       .read = read_folder };
+HG_REGISTER("body reader", makehuman, &reader);

@@ -1,64 +1,23 @@
-/* Puts a clip of a CMU skeleton on a body whose joints have the CMU names but another rest pose.
+/* Puts a clip of one skeleton on a body with another rest pose, and other names (joints.c has them).
  *
  * With G the global rotation of a joint against its own rest pose, G_body(j) = G_clip(j) O_j. O_j is the identity for
  * hips, spine, neck, head and shoulders (to align bones there would straighten the neck and shrug the shoulders). Along
  * arms and legs it takes the body's bone to the clip's by the smallest rotation, after what the bone above has turned:
  * O_j = minarc(O_parent b_j -> d_j) O_parent. Hands and fingers keep the O of the forearm; feet take straight down to
- * the clip's shin, which leaves soles flat. The root follows the middle between the two thigh joints, scaled by the
+ * the clip's shin, which leaves soles flat, where they are not flat in the clip's rest pose already. A clip and a body of
+ * SMPL rest alike: there all O are the identity. The root follows the middle between the two thigh joints, scaled by the
  * length of the legs. The clip's floor is y = 0 and stays there. */
 #include "scene/clip.h"
+#include "scene/joints.h"
 
 #include <stdio.h>
 #include <string.h>
 
-typedef enum { KEEP, CHAIN, PARENT, SOLE } rule;
-
-/* A joint of the body; what the CMU .asf, the .bvh made for MotionBuilder and the .bvh made for Poser call it; how its
- * rest pose is brought over, the joint at the far end of its bone (CHAIN), or the one whose bone is a shin (SOLE). */
-typedef struct {
-    const char *name, *asf, *builder, *poser;
-    rule rule;
-    const char *other;
-} joint_row;
-static const joint_row joint_rows[] = {
-    { "Hips", "root", "Hips", "hip", KEEP, NULL },
-    { "LowerBack", "lowerback", "LowerBack", "lowerback", KEEP, NULL },
-    { "Spine", "upperback", "Spine", "abdomen", KEEP, NULL },
-    { "Spine1", "thorax", "Spine1", "chest", KEEP, NULL },
-    { "Neck", "lowerneck", "Neck", "neck", KEEP, NULL },
-    { "Neck1", "upperneck", "Neck1", "neck1", KEEP, NULL },
-    { "Head", "head", "Head", "head", KEEP, NULL },
-    { "LeftShoulder", "lclavicle", "LeftShoulder", "lcollar", KEEP, NULL },
-    { "LeftArm", "lhumerus", "LeftArm", "lshoulder", CHAIN, "LeftForeArm" },
-    { "LeftForeArm", "lradius", "LeftForeArm", "lelbow", CHAIN, "LeftHand" },
-    { "LeftHand", "lwrist", "LeftHand", "lhand", PARENT, NULL },
-    { "LeftFingerBase", "lhand", "LeftFingerBase", "leftfingerbase", PARENT, NULL },
-    { "LeftHandFinger1", "lfingers", "LFingers", "lefthandindex1", PARENT, NULL },
-    { "LThumb", "lthumb", "LThumb", "lthumb", PARENT, NULL },
-    { "RightShoulder", "rclavicle", "RightShoulder", "rcollar", KEEP, NULL },
-    { "RightArm", "rhumerus", "RightArm", "rshoulder", CHAIN, "RightForeArm" },
-    { "RightForeArm", "rradius", "RightForeArm", "relbow", CHAIN, "RightHand" },
-    { "RightHand", "rwrist", "RightHand", "rhand", PARENT, NULL },
-    { "RightFingerBase", "rhand", "RightFingerBase", "rightfingerbase", PARENT, NULL },
-    { "RightHandFinger1", "rfingers", "RFingers", "righthandindex1", PARENT, NULL },
-    { "RThumb", "rthumb", "RThumb", "rthumb", PARENT, NULL },
-    { "LHipJoint", "lhipjoint", "LHipJoint", "lhipjoint", KEEP, NULL },
-    { "LeftUpLeg", "lfemur", "LeftUpLeg", "lhip", CHAIN, "LeftLeg" },
-    { "LeftLeg", "ltibia", "LeftLeg", "lknee", CHAIN, "LeftFoot" },
-    { "LeftFoot", "lfoot", "LeftFoot", "lfoot", SOLE, "LeftLeg" },
-    { "LeftToeBase", "ltoes", "LeftToeBase", "lefttoebase", SOLE, "LeftLeg" },
-    { "RHipJoint", "rhipjoint", "RHipJoint", "rhipjoint", KEEP, NULL },
-    { "RightUpLeg", "rfemur", "RightUpLeg", "rhip", CHAIN, "RightLeg" },
-    { "RightLeg", "rtibia", "RightLeg", "rknee", CHAIN, "RightFoot" },
-    { "RightFoot", "rfoot", "RightFoot", "rfoot", SOLE, "RightLeg" },
-    { "RightToeBase", "rtoes", "RightToeBase", "righttoebase", SOLE, "RightLeg" },
-};
-#define JOINT_ROWS (int)(sizeof joint_rows / sizeof *joint_rows)
-
 typedef struct {
     const hg_clip *clip;
     const hg_body *body;
-    int scheme;       /* 0 the body's own names, 1 .asf, 2 MotionBuilder, 3 Poser */
+    joint_family clip_family, body_family;
+    bool same_rest;   /* both rigs rest alike: rotations are taken as they are */
     int *source;      /* [J] joint of the clip, -1: none */
     hg_quatd *offset; /* [J] O */
     double scale;
@@ -68,35 +27,23 @@ typedef struct {
     hg_vec3d *to_place;
 } retarget;
 
-static const joint_row *find_row(const char *name)
+/* The joint of the body that plays a part, by the part's own name; -1: none. */
+static int body_part(const retarget *r, const char *name)
 {
-    for (int i = 0; i < JOINT_ROWS; i++)
-        if (strcmp(joint_rows[i].name, name) == 0) return joint_rows + i;
-    return NULL;
+    const joint_row *row = joints_row(name, JOINTS_OWN);
+    return row ? joints_find_row(r->body->joint_name, r->body->joints, row, r->body_family) : -1;
 }
 
-static const char *row_name(const joint_row *row, int scheme)
-{
-    return scheme == 1 ? row->asf : scheme == 2 ? row->builder : scheme == 3 ? row->poser : row->name;
-}
-
-/* The scheme of names that fits most joints: `lhand` alone says nothing, an .asf and Poser differ about it. */
-static int find_scheme(const hg_clip *clip)
-{
-    int best = 0, best_count = -1;
-    for (int scheme = 0; scheme < 4; scheme++) {
-        int count = 0;
-        for (int i = 0; i < JOINT_ROWS; i++) count += clip_joint(clip, row_name(joint_rows + i, scheme)) >= 0;
-        if (count > best_count) best = scheme, best_count = count;
-    }
-    return best;
-}
-
+/* By the part that it plays; a joint that plays none, or that the clip's family does not name, by its own name: `lhand`
+ * alone says nothing, an .asf and Poser differ about it. */
 static int source_of(const retarget *r, const char *name)
 {
-    const joint_row *row = find_row(name);
-    int joint = row ? clip_joint(r->clip, row_name(row, r->scheme)) : -1;
-    return joint >= 0 || (row && r->scheme == 1) || (row && r->scheme == 3) ? joint : clip_joint(r->clip, name);
+    const hg_clip *clip = r->clip;
+    const joint_row *row = joints_row(name, r->body_family);
+    int joint = row ? joints_find_row(clip->name, clip->joints, row, r->clip_family) : -1;
+    bool settled = row && (r->clip_family == JOINTS_ASF || r->clip_family == JOINTS_POSER ||
+                           (r->clip_family != r->body_family && row->name[r->clip_family]));
+    return joint >= 0 || settled ? joint : clip_joint(clip, name);
 }
 
 static hg_vec3d body_joint(const hg_body *body, int joint)
@@ -105,10 +52,10 @@ static hg_vec3d body_joint(const hg_body *body, int joint)
     return hg_vec3d_make((double)p[0], (double)p[1], (double)p[2]);
 }
 
-/* The bone from joint to `end` in the body and in the clip; false when either lacks it or has it at length 0. */
+/* The bone from joint to the part `end` in the body and in the clip; false when either lacks it or has it at length 0. */
 static bool bones(const retarget *r, int joint, const char *end, hg_vec3d *in_body, hg_vec3d *in_clip)
 {
-    int last = hg_body_joint(r->body, end);
+    int last = body_part(r, end);
     if (joint < 0 || last < 0 || r->source[joint] < 0 || r->source[last] < 0) return false;
     *in_body = hg_vec3d_sub(body_joint(r->body, last), body_joint(r->body, joint));
     *in_clip = hg_vec3d_load(r->clip->offset + 3 * (int64_t)r->source[last]);
@@ -119,19 +66,19 @@ static void find_offsets(retarget *r)
 {
     const hg_body *body = r->body;
     for (int j = 0; j < body->joints; j++) {
-        const joint_row *row = find_row(body->joint_name[j]);
+        const joint_row *row = joints_row(body->joint_name[j], r->body_family);
         hg_quatd above = body->parent[j] >= 0 ? r->offset[body->parent[j]] : hg_quatd_identity();
         hg_vec3d in_body, in_clip;
         r->offset[j] = hg_quatd_identity();
-        if (!row) continue;
-        if (row->rule == PARENT) r->offset[j] = above;
-        if (row->rule == CHAIN && bones(r, j, row->other, &in_body, &in_clip)) {
+        if (!row || r->same_rest) continue;
+        if (row->rule == JOINT_PARENT) r->offset[j] = above;
+        if (row->rule == JOINT_CHAIN && bones(r, j, row->other, &in_body, &in_clip)) {
             hg_vec3d turned = hg_quatd_rotate(above, hg_vec3d_normalize(in_body));
             r->offset[j] = hg_quatd_mul(hg_quatd_between(turned, hg_vec3d_normalize(in_clip)), above);
         }
-        if (row->rule == SOLE) {
-            const joint_row *shin = find_row(row->other);
-            if (bones(r, hg_body_joint(body, row->other), shin->other, &in_body, &in_clip))
+        if (row->rule == JOINT_SOLE && !joints_flat(r->clip_family)) {
+            const joint_row *shin = joints_row(row->other, JOINTS_OWN);
+            if (bones(r, body_part(r, row->other), shin->other, &in_body, &in_clip))
                 r->offset[j] = hg_quatd_between(hg_vec3d_make(0, -1, 0), hg_vec3d_normalize(in_clip));
         }
     }
@@ -144,7 +91,7 @@ static void find_scale(retarget *r)
     double in_body = 0, in_clip = 0;
     hg_vec3d a, b;
     for (int i = 0; i < 4; i++)
-        if (bones(r, hg_body_joint(r->body, leg[i]), find_row(leg[i])->other, &a, &b)) {
+        if (bones(r, body_part(r, leg[i]), joints_row(leg[i], JOINTS_OWN)->other, &a, &b)) {
             in_body += hg_vec3d_norm(a);
             in_clip += hg_vec3d_norm(b);
         }
@@ -169,7 +116,9 @@ static hg_status prepare(retarget *r)
     r->to = hg_alloc((size_t)body->joints, sizeof *r->to);
     r->to_place = hg_alloc((size_t)body->joints, sizeof *r->to_place);
     if (!r->source || !r->offset || !r->from || !r->from_place || !r->to || !r->to_place) return HG_MEMORY;
-    r->scheme = find_scheme(clip);
+    r->clip_family = joints_family(clip->name, clip->joints);
+    r->body_family = joints_family(body->joint_name, body->joints);
+    r->same_rest = clip->standard_rest && r->clip_family == r->body_family;
     for (int64_t j = 0; j < body->joints; j++) r->source[j] = source_of(r, body->joint_name[j]);
     r->source[0] = r->source[0] >= 0 ? r->source[0] : 0; /* the roots belong together, whatever their names */
     static const char *const needed[] = { "Head", "Neck" };
@@ -178,7 +127,8 @@ static hg_status prepare(retarget *r)
         if (joint < 0 || r->source[joint] < 0)
             return hg_fail(
                 HG_INVALID,
-                "the %s has no joint for \"%s\"; names of CMU skeletons (.asf, or .bvh made from them) are understood",
+                "the %s has no joint for \"%s\"; names of CMU skeletons (.asf, or .bvh made from them), of SMPL, of "
+                "Mixamo and of game engines are understood, and those of the body itself",
                 joint < 0 ? "body" : "clip", needed[i]);
     }
     find_offsets(r);
@@ -230,7 +180,7 @@ static void retarget_frame(retarget *r, int64_t t, float *rotation, float *trans
         rotation[4 * j + 2] = (float)local.y;
         rotation[4 * j + 3] = (float)local.z;
     }
-    int left = hg_body_joint(body, "LeftUpLeg"), right = hg_body_joint(body, "RightUpLeg");
+    int left = body_part(r, "LeftUpLeg"), right = body_part(r, "RightUpLeg");
     bool legs = left >= 0 && right >= 0 && r->source[left] >= 0 && r->source[right] >= 0;
     hg_vec3d place = legs ? hg_vec3d_mix(r->to_place[left], r->to_place[right], 0.5) : r->to_place[0];
     hg_vec3d asked = legs ? hg_vec3d_mix(r->from_place[r->source[left]], r->from_place[r->source[right]], 0.5)

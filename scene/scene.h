@@ -93,7 +93,7 @@ void      hg_body_destroy(hg_body *body);
 hg_status hg_body_load(hg_body **body, const char *path);
 hg_status hg_body_save(const hg_body *body, const char *path);
 uint64_t  hg_body_hash(const hg_body *body);
-int       hg_body_joint(const hg_body *body, const char *name);                   /* -1 when it has none */
+int       hg_body_joint(const hg_body *body, const char *name);                   /* -1 when it has none; "Head", "Neck", "Spine1"... are found under what SMPL, Mixamo and game engines call them, too */
 void      hg_scalp_project(const hg_body *body, const float point[3], float uv[2]); /* Lambert azimuthal, no seam */
 
 /* ---- motion ------------------------------------------------------------------------------------------------- */
@@ -176,6 +176,19 @@ typedef struct { int64_t vertices, faces; float *points /* [N,3] */, *uv /* [N,2
                  int32_t *polygon /* [F] of the file that a triangle was cut from, ascending */; char **group; int32_t *group_of_face /* [F], -1: none */; int n_groups; } hg_mesh; /* .obj; polygons are cut as a fan from their first corner: quads at the diagonal 0-2 */
 hg_status hg_mesh_read_obj(hg_mesh **mesh, const char *path);
 void      hg_mesh_destroy(hg_mesh *mesh);
+/* What a file does not say and the person asking may. {0} is fine: what is usual for the format. */
+typedef struct {
+    double         unit;      /* metres of the file's unit of length; 0: as usual */
+    char           up;        /* axis that is up in the file, 'y' or 'z'; 0: as usual */
+    const char    *rig;       /* MakeHuman: of rig.NAME.json; NULL: cmu_mb */
+    const char    *scalp;     /* bodies: a file of face numbers, or a length about the top of the head ("9 cm"); NULL: found */
+    const char    *skeleton;  /* motions: .asf of an .amc; SMPL-like body of an AMASS clip (NULL: `body`, else the mean person) */
+    const char    *animation; /* motions: glTF, name or number; NULL: the first */
+    const hg_body *body;      /* motions: the body that is to move; may be NULL */
+} hg_import;
+/* notes: lines on what was found, assumed and left out, for the person asking; may be NULL. */
+typedef struct { const char *extension /* "": a folder */, *what; hg_status (*read)(hg_ctx *ctx, hg_body **body, const char *path, const hg_import *with, hg_text *notes); } hg_body_reader; /* kind "body reader" */
+hg_status hg_body_read(hg_ctx *ctx, hg_body **body, const char *path, const hg_import *with /* or NULL */, hg_text *notes);
 /* MakeHuman base mesh with an MPFB rig: folder as ../data/bodies (makehuman/base.obj, makehuman/targets, mpfb2/rig.*.json, weights.*.json). */
 hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder, const char *rig /* "cmu_mb" */);
 
@@ -183,10 +196,13 @@ hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder
 typedef struct {
     int64_t joints, frames; double rate;
     char **name; int32_t *parent; double *offset /* [J,3] rest bone offsets [m] */; double *rotation /* [T,J,4] local */; double *translation /* [T,3] root [m] */;
+    bool standard_rest; /* all skeletons of these names rest alike (SMPL): rotations need no change between them */
 } hg_clip;
 void      hg_clip_destroy(hg_clip *clip);
 hg_status hg_clip_read_amc(hg_clip **clip, const char *asf, const char *amc);
 hg_status hg_clip_read_bvh(hg_clip **clip, const char *path);
+typedef struct { const char *extension, *what; hg_status (*read)(hg_clip **clip, const char *path, const hg_import *with, hg_text *notes); } hg_clip_reader; /* kind "motion reader" */
+hg_status hg_clip_read(hg_clip **clip, const char *path, const hg_import *with /* or NULL */, hg_text *notes);
 hg_status hg_clip_retarget(hg_motion **motion, const hg_clip *clip, const hg_body *body, double rate);
 
 /* ---- procedural scenes -------------------------------------------------------------------------------------- */
