@@ -8,7 +8,10 @@ autograd's. Run again only when an equation changes; made with PyTorch 2.15 and 
 
 Layout: /scene holds the inputs. One group per energy and choice of options, such as "bend_twist,strain=smooth,root=free"
 (all options, in the order in which the energy declares them): value [], per_strand [B,S], gradient [B,S,V,3], and the
-parameters that are not defaults as attributes. A group with the suffix "@degenerate" takes x from /scene/x_degenerate.
+parameters that are not defaults as attributes. Under wrt/ is the gradient in everything else that the energy depends on,
+by name: its parameters, "dt", "rest", "mass", attributes and arrays of the frame. "posed" there is what a frame brings;
+the gradients in "rest", "root_rotation" and "root_position" are those of a posed groom made from them. A group with the
+suffix "@degenerate" takes x from /scene/x_degenerate.
 """
 
 import itertools
@@ -21,7 +24,6 @@ import torch
 torch.set_default_dtype(torch.float64)
 random = np.random.default_rng(20250722)
 G, B, S, V = 2, 2, 8, 9
-DT = 1.0 / 30.0
 GROOM = [1, 0]
 
 
@@ -214,12 +216,40 @@ def make_scene():
     }
 
 
-scene = make_scene()
-T = {name: torch.tensor(scene[name]) for name in scene if name not in ("faces", "groom")}
-rest = torch.stack([T["rest"][g] for g in GROOM])  # [B,S,V,3], as each frame uses it
-mass = torch.stack([T["mass"][g] for g in GROOM])
-R = T["root_rotation"]
-posed = rotate(R[:, :, None, :].expand(B, S, V, 4), rest - rest[:, :, :1]) + T["root_position"][:, :, None, :]
+def more(scene):
+    """Drawn after everything else, so that what is above stays what it is."""
+    x = scene["x"]
+    scene["ghost"] = x + 0.004 * random.standard_normal(x.shape)
+    scene["ghost"][0, :3] += 0.05 * random.standard_normal((3, V, 3))  # some beyond half a strand, some beyond one
+    scene["deformation"] = 0.01 * random.standard_normal(x.shape)
+    e = torch.tensor(x[:, :, 1:] - x[:, :, :-1])
+    t = e / torch.sqrt(dot(e, e))[..., None]
+    e3 = torch.tensor([0.0, 0.0, 1.0]).expand_as(t)
+    q = transport(e3, t).numpy() * (1 + 0.1 * random.standard_normal((B, S, V - 1, 1)))
+    q += 0.15 * random.standard_normal(q.shape)
+    q[:, :, 3] = -q[:, :, 3]  # the other sign is the same rotation
+    scene["q"] = q
+    return scene
+
+
+scene = more(make_scene())
+FLOATS = [name for name in scene if name not in ("faces", "groom", "x", "x_degenerate", "body_rest", "body_vertices")]
+T, DT = {}, None
+
+
+def fresh():
+    """New leaves for everything that an energy may depend on; what follows from them is made anew."""
+    global T, DT, rest, mass, R, posed
+    T = {name: torch.tensor(scene[name]).requires_grad_(True) for name in FLOATS}
+    DT = torch.tensor(1.0 / 30.0, requires_grad=True)
+    rest = torch.stack([T["rest"][g] for g in GROOM])  # [B,S,V,3], as each frame uses it
+    mass = torch.stack([T["mass"][g] for g in GROOM])
+    R = T["root_rotation"]
+    turned = rotate(R[:, :, None, :].expand(B, S, V, 4), rest - rest[:, :, :1])
+    posed = turned + T["root_position"][:, :, None, :]
+
+
+fresh()
 
 
 # ---- the energies: each returns the sum over the sites of every strand, [B,S] --------------------------------------
@@ -240,13 +270,24 @@ def strain(r, r0, l, k, kind):
     return 0.5 * k * l * dot(omega, omega)
 
 
-def bend_twist(x, k, kind, root):
+def chain(t):
+    """Parallel transport from edge to edge, the identity at the root: p_{i+1} = transport(t_i -> t_{i+1}) p_i"""
+    p = [torch.tensor([1.0, 0.0, 0.0, 0.0]).expand(B, S, 4)]
+    for i in range(V - 2):
+        p.append(qmul(transport(t[:, :, i], t[:, :, i + 1]), p[-1]))
+    return torch.stack(p, 2)
+
+
+def bend_twist(x, k, kind, root, carried=False):
     e0, e = rest[:, :, 1:] - rest[:, :, :-1], x[:, :, 1:] - x[:, :, :-1]
     l0 = torch.clamp(length(e0), min=1e-6)
     t_rest, t = tangent(e0, l0), tangent(e, l0)
     F = qmul(transport(rotate(R, t_rest[:, :, 0]), t[:, :, 0]), R)  # [B,S,4]
-    p = transport(t[:, :, :1].expand_as(t), t)
-    p_rest = transport(t_rest[:, :, :1].expand_as(t_rest), t_rest)
+    if carried:
+        p, p_rest = chain(t), chain(t_rest)
+    else:
+        p = transport(t[:, :, :1].expand_as(t), t)
+        p_rest = transport(t_rest[:, :, :1].expand_as(t_rest), t_rest)
     r0 = qmul(conj(p_rest[:, :, :-1]), p_rest[:, :, 1:])
     along = F[:, :, None, :].expand_as(r0)
     r = qmul(qmul(conj(along), qmul(conj(p[:, :, :-1]), p[:, :, 1:])), along)
@@ -277,7 +318,7 @@ def body_collision(x, k, D, mode, rest_clearance):
     for b, s, v in itertools.product(range(B), range(S), range(V)):
         a[b, s, v], n[b, s, v] = contact(points[b, s, v], scene["body_vertices"][b], scene["faces"], mode)
     d = dot(torch.tensor(n), x - torch.tensor(a))
-    clearance = torch.full((B, S, V), D)
+    clearance = D.expand(B, S, V)
     if rest_clearance == "true":
         at_rest = torch.stack([T["body_distance"][g] for g in GROOM])
         clearance = torch.minimum(clearance, torch.clamp(at_rest, min=0.0005))
@@ -317,13 +358,79 @@ def adhesion(x, k, radius, count, rest_length):
         at_rest, now = rest[b].reshape(-1, 3), x[b].reshape(-1, 3)
         of_strand = [torch.zeros(()) for _ in range(S)]
         for i in range(S * V):
-            d0 = torch.sqrt(((at_rest - at_rest[i]) ** 2).sum(-1)).numpy()
+            d0 = torch.sqrt(((at_rest - at_rest[i]) ** 2).sum(-1)).detach().numpy()
             near = [j for j in np.argsort(d0, kind="stable") if j // V != i // V and d0[j] <= radius][: int(count)]
             for j in near:
                 d = length(now[i] - now[j])
-                of_strand[i // V] = of_strand[i // V] + k * (d - (d0[j] if rest_length == "true" else 0.0)) ** 2
+                then = length(at_rest[i] - at_rest[j]) if rest_length == "true" else 0.0
+                of_strand[i // V] = of_strand[i // V] + k * (d - then) ** 2
         energy.append(torch.stack(of_strand))
     return torch.stack(energy)
+
+
+def spring(x, k, n):
+    d0, d = rest[:, :, n:] - rest[:, :, :-n], x[:, :, n:] - x[:, :, :-n]
+    return (0.5 * k * (length(d) - length(d0)) ** 2).sum(-1)
+
+
+def shear(x, k):
+    e, e_posed = x[:, :, 1:] - x[:, :, :-1], posed[:, :, 1:] - posed[:, :, :-1]
+    l0 = length(rest[:, :, 1:] - rest[:, :, :-1])
+    d = e / l0[..., None] - e_posed / length(e_posed)[..., None]
+    return (0.5 * k * dot(d, d)).sum(-1)
+
+
+def cosserat_stretch_shear(x, k):
+    l0 = length(rest[:, :, 1:] - rest[:, :, :-1])
+    e3 = torch.tensor([0.0, 0.0, 1.0]).expand(B, S, V - 1, 3)
+    d = (x[:, :, 1:] - x[:, :, :-1]) / l0[..., None] - rotate(T["q"], e3)
+    return (0.5 * k * dot(d, d)).sum(-1)
+
+
+def cosserat_bend_twist(x, k):
+    l0 = length(rest[:, :, 1:] - rest[:, :, :-1])
+    t = (rest[:, :, 1:] - rest[:, :, :-1]) / l0[..., None]
+    e3 = torch.tensor([0.0, 0.0, 1.0]).expand(B, S, 3)
+    q0 = qmul(chain(t), transport(e3, t[:, :, 0])[:, :, None, :].expand(B, S, V - 1, 4))
+    q = T["q"]
+    r, r0 = qmul(conj(q[:, :, :-1]), q[:, :, 1:]), qmul(conj(q0[:, :, :-1]), q0[:, :, 1:])
+    sign = torch.where(dot(r, r0) < 0, -1.0, 1.0)[..., None]
+    omega = 4 / (l0[:, :, :-1] + l0[:, :, 1:])[..., None] * (sign * r[..., 1:] - r0[..., 1:])
+    return (0.5 * k * dot(omega, omega)).sum(-1)
+
+
+def unit_quaternion(x, k):
+    return (0.5 * k * (length(T["q"]) - 1) ** 2).sum(-1)
+
+
+def integrity(x, k, curve):
+    """The tension is integrated by Gauss's rule on each piece: not the polynomial that the library writes."""
+    d = length(x - T["ghost"])
+    if curve == "hookean":
+        return (0.5 * k * d**2).sum(-1)
+    strand = length(rest[:, :, 1:] - rest[:, :, :-1]).sum(-1).detach()[..., None]  # [B,S,1]; no derivative
+    nodes, weights = np.polynomial.legendre.leggauss(6)
+    energy = 0.5 * k * torch.minimum(d, 0.5 * strand) ** 2
+    end = torch.minimum(torch.maximum(d, 0.5 * strand), strand)
+    for node, weight in zip(nodes, weights):
+        at = 0.5 * strand + (end - 0.5 * strand) * 0.5 * (1 + node)
+        u = 2 * at / strand - 1
+        hermite_value, hermite_slope = (1 + 2 * u) * (1 - u) ** 2, u * (1 - u) ** 2
+        tension = k * 0.5 * strand * (hermite_value + hermite_slope)  # T(L/2) = k L/2, dT/du = k L/2 there, 0 at L
+        energy = energy + 0.5 * weight * (end - 0.5 * strand) * tension
+    return energy.sum(-1)
+
+
+def angular(x, k):
+    a, b = T["ghost"][:, :, 1:] - x[:, :, :-1], x[:, :, 1:] - x[:, :, :-1]
+    theta = torch.arccos(dot(a, b) / torch.sqrt(dot(a, a) * dot(b, b)))
+    return (0.5 * k * theta**2).sum(-1)
+
+
+def pose_reg(x, k):
+    d = T["deformation"]
+    difference = d.mean(0, keepdim=True) - d
+    return (k * dot(difference, difference)).sum(-1)
 
 
 # name, options with their choices, parameters that differ from the defaults (by their names), function of both
@@ -339,7 +446,7 @@ CASES = [
         "gravity",
         {},
         {"g.x": 0.7, "g.y": -9.6, "g.z": 1.1},
-        lambda x, o, p: gravity(x, torch.tensor([p["g.x"], p["g.y"], p["g.z"]])),
+        lambda x, o, p: gravity(x, torch.stack([p["g.x"], p["g.y"], p["g.z"]])),
     ),
     ("inertia", {}, {}, lambda x, o, p: inertia(x)),
     ("drag", {}, {"c": 2.5}, lambda x, o, p: drag(x, p["c"])),
@@ -371,35 +478,75 @@ CASES = [
         "adhesion",
         {"rest_length": ["false", "true"]},
         {"stiffness": 2e-6, "radius": 0.007, "count": 4},
-        lambda x, o, p: adhesion(x, p["stiffness"], p["radius"], p["count"], o["rest_length"]),
+        lambda x, o, p: adhesion(x, p["stiffness"], p["radius"].item(), int(p["count"].item()), o["rest_length"]),
     ),
+    (
+        "bend_twist_chain",
+        {"strain": ["published", "smooth"], "root": ["free", "clamped"]},
+        {"stiffness": 2.3e-8},
+        lambda x, o, p: bend_twist(x, p["stiffness"], o["strain"], o["root"], carried=True),
+    ),
+    ("shear", {}, {"stiffness": 3e-6}, lambda x, o, p: shear(x, p["stiffness"])),
+    ("cosserat_stretch_shear", {}, {"stiffness": 3e-6}, lambda x, o, p: cosserat_stretch_shear(x, p["stiffness"])),
+    ("cosserat_bend_twist", {}, {"stiffness": 3e-11}, lambda x, o, p: cosserat_bend_twist(x, p["stiffness"])),
+    ("unit_quaternion", {}, {"stiffness": 4e-6}, lambda x, o, p: unit_quaternion(x, p["stiffness"])),
+    ("spring_edge", {}, {"stiffness": 1.7}, lambda x, o, p: spring(x, p["stiffness"], 1)),
+    ("spring_bend", {}, {"stiffness": 0.7}, lambda x, o, p: spring(x, p["stiffness"], 2)),
+    ("spring_torsion", {}, {"stiffness": 0.3}, lambda x, o, p: spring(x, p["stiffness"], 3)),
+    (
+        "integrity",
+        {"curve": ["hookean", "softening"]},
+        {"stiffness": 0.002},
+        lambda x, o, p: integrity(x, p["stiffness"], o["curve"]),
+    ),
+    ("angular", {}, {"stiffness": 2e-7}, lambda x, o, p: angular(x, p["stiffness"])),
+    ("pose_reg", {}, {"stiffness": 0.003}, lambda x, o, p: pose_reg(x, p["stiffness"])),
 ]
-DEGENERATE = {"stretch", "bend_twist", "self_collision", "adhesion"}
+DEGENERATE = {
+    "stretch", "bend_twist", "bend_twist_chain", "self_collision", "adhesion", "shear", "spring_edge", "spring_bend",
+    "spring_torsion", "cosserat_stretch_shear",
+}
+NO_POSITIONS = {"cosserat_bend_twist", "unit_quaternion", "pose_reg"}
+
+
+def derivatives(value, x, params):
+    """Gradient in x, and in everything else that value depends on."""
+    leaves = dict(T, dt=DT, posed=posed, **params)
+    found = torch.autograd.grad(value, [x] + list(leaves.values()), allow_unused=True)
+    gradient = torch.zeros_like(x) if found[0] is None else found[0]
+    others = {name: g for name, g in zip(leaves, found[1:]) if g is not None and g.abs().max() > 1e-13 * abs(value)}
+    return gradient, others
 
 
 def write(path):
     with h5py.File(path, "w") as file:
         for name, value in scene.items():
             file["scene/" + name] = value
-        for name, options, params, energy in CASES:
+        for name, options, numbers, energy in CASES:
             for choices in itertools.product(*options.values()):
                 chosen = dict(zip(options, choices))
                 label = ",".join([name] + [f"{o}={c}" for o, c in chosen.items()])
                 for suffix in ["", "@degenerate"] if name in DEGENERATE else [""]:
-                    x = (T["x_degenerate"] if suffix else T["x"]).clone().requires_grad_(True)
+                    fresh()
+                    x = torch.tensor(scene["x_degenerate" if suffix else "x"]).requires_grad_(True)
+                    params = {p: torch.tensor(float(number), requires_grad=True) for p, number in numbers.items()}
                     per_strand = energy(x, chosen, params)
                     value = per_strand.sum()
-                    (gradient,) = torch.autograd.grad(value, x)
+                    gradient, others = derivatives(value, x, params)
                     assert torch.isfinite(value) and torch.isfinite(gradient).all(), label
-                    assert gradient.abs().max() > 0, label + " has no gradient: nothing is tested"
+                    moved = gradient if name not in NO_POSITIONS else others.get("q", others.get("deformation"))
+                    assert moved.abs().max() > 0, label + " has no gradient: nothing is tested"
                     group = file.create_group(label + suffix)
                     group["value"] = value.item()
                     group["per_strand"] = per_strand.detach().numpy()
                     group["gradient"] = gradient.numpy()
-                    for param, number in params.items():
+                    for other, found in others.items() if not suffix else []:
+                        assert torch.isfinite(found).all(), label + " " + other
+                        group["wrt/" + other] = found.numpy()
+                    for param, number in numbers.items():
                         group.attrs[param] = float(number)
-                    active = (gradient.abs().amax(-1) > 0).double().mean().item()
-                    print(f"{label + suffix:56s} {value.item():14.6e}  {100 * active:5.1f} % of the vertices")
+                    active = (moved.abs().amax(-1) > 0).double().mean().item()
+                    print(f"{label + suffix:56s} {value.item():14.6e}  {100 * active:5.1f} %  {' '.join(others)}")
 
 
 if __name__ == "__main__":
