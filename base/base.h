@@ -79,10 +79,14 @@ uint64_t hg_random_below(uint64_t seed, uint64_t stream, uint64_t counter, uint6
 
 /* ---- registry ----------------------------------------------------------------------------------------------- */
 
-typedef struct hg_entry { const char *kind, *name; const void *item; struct hg_entry *next; } hg_entry;
+/* Of the headers: what is registered says which one it was compiled with. Raised whenever a struct that is registered, or
+ * one that it is handed, changes. */
+#define HG_ABI_VERSION 1
+
+typedef struct hg_entry { uint64_t abi /* HG_ABI_VERSION */; const char *kind, *name; const void *item; struct hg_entry *next; } hg_entry;
 
 void        hg_register(hg_entry *entry);                     /* keeps the pointer; a second entry of the same kind and name is remembered as a clash */
-const char *hg_registry_clash(void);                          /* which name was registered twice; NULL when none */
+const char *hg_registry_clash(void);                          /* which name was registered twice, or for another ABI version; NULL when none */
 const void *hg_find(const char *kind, const char *name);      /* NULL when unknown */
 int         hg_list(const char *kind, const char **names, int max); /* sorted by name; returns how many there are */
 const char *hg_nearest(const char *kind, const char *name);   /* the known name nearest in spelling, NULL when none is near */
@@ -92,10 +96,19 @@ const char *hg_nearest_of(const char *name, const char *const *names, int n);
 #define HG_REGISTER(kind_, name_, item_)                                                       \
     __attribute__((constructor)) static void hg_register_##name_(void)                        \
     {                                                                                          \
-        static hg_entry entry = { .kind = kind_, .name = #name_, .item = item_ };              \
+        static hg_entry entry = { .abi = HG_ABI_VERSION, .kind = kind_, .name = #name_, .item = item_ }; \
         hg_register(&entry);                                                                   \
     }                                                                                          \
     struct hg_needs_semicolon
+
+/* Loads a shared object that registers energies, ops, models, readers (a path without "/" is in the working folder). From
+ * then on their names work like those of the library's own. Everything declared is checked; when anything is wrong (it
+ * cannot be loaded, another ABI version, a name that is taken, a declaration that makes no sense), nothing of it stays and
+ * the message says what, in which file. Loading the same file again does nothing. Stays loaded. */
+hg_status hg_plugin_load(const char *path);
+
+/* How what is registered as one kind is checked: HG_REGISTER("declaration", energy, &check); a blank in a kind is a _. */
+typedef struct { hg_status (*check)(const char *name, const void *item); } hg_declaration;
 
 /* ---- progress ----------------------------------------------------------------------------------------------- */
 

@@ -1,11 +1,14 @@
 /* Everything that is known by a name. Entries come from constructors, in whatever order the linker chose, so the list
  * is kept sorted: what is listed, and the order of every loop over it, is the same in every build. */
-#include "base/base.h"
+#include "base/internal.h"
 
 #include <ctype.h>
 #include <pthread.h>
 #include <stdio.h>
 #include <string.h>
+
+#define HG_TEXT_(text_) #text_
+#define HG_TEXT(text_)  HG_TEXT_(text_)
 
 static hg_entry *entries;
 static char clash[256];
@@ -17,19 +20,45 @@ static int compare(const hg_entry *entry, const char *kind, const char *name)
     return order != 0 ? order : strcmp(entry->name, name);
 }
 
+static _Thread_local hg_registering *watching;
+
+void hg_registry_watch(hg_registering *to) { watching = to; }
+
+static void remember(const char *format, const char *a, const char *b)
+{
+    char *to = watching ? watching->wrong : clash;
+    if (to[0] == '\0') snprintf(to, sizeof clash, format, a, b);
+}
+
 void hg_register(hg_entry *entry)
 {
     pthread_mutex_lock(&lock);
+    if (entry->abi != HG_ABI_VERSION) { /* nothing else of it can be trusted */
+        char given[24];
+        snprintf(given, sizeof given, entry->abi < 1000000 ? "%llu" : "an old one", (unsigned long long)entry->abi);
+        remember("it was compiled with the headers of ABI version %s, this library has %s; compile it again", given,
+                 HG_TEXT(HG_ABI_VERSION));
+        pthread_mutex_unlock(&lock);
+        return;
+    }
     hg_entry **at = &entries;
     while (*at != NULL && compare(*at, entry->kind, entry->name) < 0) at = &(*at)->next;
     if (*at != NULL && compare(*at, entry->kind, entry->name) == 0) {
-        if (*at != entry && clash[0] == '\0')
-            snprintf(clash, sizeof clash, "%s \"%s\" is registered twice; the first one is used", entry->kind,
-                     entry->name);
+        if (*at != entry) remember("%s \"%s\" is registered twice; the first one is used", entry->kind, entry->name);
     } else {
         entry->next = *at;
         *at = entry;
+        if (watching && watching->n < HG_PLUGIN_ENTRIES) watching->entry[watching->n++] = entry;
     }
+    pthread_mutex_unlock(&lock);
+}
+
+void hg_registry_forget(hg_entry *entry)
+{
+    pthread_mutex_lock(&lock);
+    hg_entry **at = &entries;
+    while (*at != NULL && *at != entry) at = &(*at)->next;
+    if (*at != NULL) *at = entry->next;
     pthread_mutex_unlock(&lock);
 }
 

@@ -2,7 +2,6 @@
  * one sentence on stderr says why, 2 the command line was wrong. */
 #include "cli/program.h"
 
-#include <dlfcn.h>
 #include <hdf5.h>
 #include <signal.h>
 #include <stdlib.h>
@@ -11,7 +10,10 @@
 
 static const hg_argument program_options[] = {
     { "plugin", "FILE",
-      "load a shared object with energies, ops or readers of your own; may be repeated; goes before COMMAND", true },
+      "load a shared object with energies, ops, models or readers of your own; may be repeated, before or after "
+      "COMMAND; "
+      "also HAIRGRAD_PLUGINS=a.so:b.so",
+      true },
     { "version", NULL, "print the version", false },
     { "help", NULL, "print this", false },
 };
@@ -53,18 +55,36 @@ static int unknown_command(const char *name)
     return 2;
 }
 
-/* A plug-in registers what it brings when it is opened, and stays for the life of the program. */
-static int load_plugin(const char *path)
+/* Those of HAIRGRAD_PLUGINS, "a.so:b.so", then those of the command line, which lose their words: --plugin may stand
+ * anywhere in it. */
+static int load_plugins(int *count, char **words)
 {
-    char *local =
-        strchr(path, '/') != NULL ? hg_strdup(path) : hg_format("./%s", path); /* not from the system's folders */
-    if (local == NULL) return cli_fail();
-    void *handle = dlopen(local, RTLD_NOW | RTLD_LOCAL);
-    hg_free(local);
-    if (handle == NULL) {
-        hg_fail(HG_IO, "%s: is not a plug-in that can be loaded (%s)", path, dlerror());
-        return cli_fail();
+    const char *from = getenv("HAIRGRAD_PLUGINS");
+    while (from != NULL && *from != '\0') {
+        const size_t length = strcspn(from, ":");
+        char *path = hg_format("%.*s", (int)length, from);
+        const hg_status status = path == NULL ? HG_MEMORY : length > 0 ? hg_plugin_load(path) : HG_OK;
+        hg_free(path);
+        if (status != HG_OK) return cli_fail();
+        from += length + (from[length] == ':');
     }
+    int kept = 1;
+    bool options = true;
+    for (int i = 1; i < *count; i++) {
+        const char *word = words[i], *path = NULL;
+        if (strcmp(word, "--") == 0) options = false;
+        if (options && strncmp(word, "--plugin=", 9) == 0) path = word + 9;
+        if (options && strcmp(word, "--plugin") == 0) {
+            if (++i == *count) return wrong("--plugin needs a FILE");
+            path = words[i];
+        }
+        if (path == NULL)
+            words[kept++] = words[i];
+        else if (hg_plugin_load(path) != HG_OK)
+            return cli_fail();
+    }
+    words[kept] = NULL;
+    *count = kept;
     return 0;
 }
 
@@ -91,6 +111,8 @@ static int run_command(const char *name, int count, char **words)
 
 static int run_program(int count, char **words)
 {
+    const int failed = load_plugins(&count, words);
+    if (failed != 0) return failed;
     int at = 1;
     for (; at < count && words[at][0] == '-'; at++) {
         const char *option = words[at];
@@ -102,14 +124,8 @@ static int run_program(int count, char **words)
             puts("hairgrad " HG_VERSION);
             return 0;
         }
-        bool joined = strncmp(option, "--plugin=", 9) == 0;
-        if (!joined && strcmp(option, "--plugin") != 0) {
-            fprintf(stderr, "hairgrad: unknown option \"%s\" before COMMAND; hairgrad --help lists them\n", option);
-            return 2;
-        }
-        if (!joined && ++at == count) return wrong("--plugin needs a FILE");
-        int failed = load_plugin(joined ? option + 9 : words[at]);
-        if (failed != 0) return failed;
+        fprintf(stderr, "hairgrad: unknown option \"%s\" before COMMAND; hairgrad --help lists them\n", option);
+        return 2;
     }
     if (hg_registry_clash() != NULL) {
         hg_fail(HG_INVALID, "%s; rename one", hg_registry_clash());

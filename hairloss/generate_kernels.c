@@ -67,7 +67,7 @@ static hg_status print_file(hg_dtype dtype, const char *path)
     for (int i = 0; status == HG_OK && i < USUAL_SUMS; i++)
         hg_text_add(
             &text,
-            "        { .kind = \"strand_kernel\", .name = \"%s \" HG_LEVEL \" %016llx\", .item = &kernels[%d] },\n",
+            "        { .abi = HG_ABI_VERSION, .kind = \"strand_kernel\", .name = \"%s \" HG_LEVEL \" %016llx\", .item = &kernels[%d] },\n",
             hg_dtype_name(dtype), (unsigned long long)hash[i], i);
     hg_text_add(&text, "    };\n    for (int i = 0; i < %d; i++) hg_register(&entries[i]);\n}\n", USUAL_SUMS);
     if (status == HG_OK && text.failed) status = HG_MEMORY;

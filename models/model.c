@@ -10,7 +10,8 @@ hg_status hg_model_create(hg_model **model, hg_ctx *ctx, const char *architectur
     if (!found) {
         const char *near = hg_nearest("model", architecture);
         return hg_fail(HG_INVALID, "model: there is no architecture \"%s\"%s%s%s", architecture,
-                       near ? "; did you mean \"" : "", near ? near : "", near ? "\"?" : "");
+                       near ? "; did you mean \"" : "; one of a plug-in is known once --plugin has loaded it",
+                       near ? near : "", near ? "\"?" : "");
     }
     if (spec->inputs < 1 || spec->outputs < 1 || spec->width < 1 || spec->depth < 1 || spec->strand_inputs < 0 ||
         spec->strand_inputs > spec->inputs)
@@ -49,3 +50,16 @@ hg_status hg_model_copy(hg_model *to, const hg_model *from)
     for (int i = 0; i < to->n_params; i++) HG_TRY(hg_tensor_copy(to->params[i], from->params[i]));
     return HG_OK;
 }
+
+static hg_status check(const char *name, const void *item)
+{
+    const hg_architecture *architecture = item;
+    if (!architecture || !architecture->name || strcmp(architecture->name, name) != 0)
+        return hg_fail(HG_INVALID, "model '%s' is registered without its architecture, or under another name", name);
+    if (!architecture->create || !architecture->what)
+        return hg_fail(HG_INVALID, "model '%s' has no create, or does not say what it is", name);
+    return HG_OK;
+}
+
+static const hg_declaration declaration = { check };
+HG_REGISTER("declaration", model, &declaration);

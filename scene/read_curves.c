@@ -102,3 +102,14 @@ hg_status hg_curves_write(const hg_curves *curves, const char *path, const char 
                        writer->variants);
     return writer->write(curves, path, chosen);
 }
+
+static hg_status check(const char *name, const void *item)
+{
+    const hg_groom_reader *reader = item;
+    if (!reader || !reader->extension || !*reader->extension || !reader->what || !reader->read)
+        return hg_fail(HG_INVALID, "reader '%s' lacks its extension, what it reads, or its function", name);
+    return HG_OK;
+}
+
+static const hg_declaration declaration = { check };
+HG_REGISTER("declaration", groom_reader, &declaration);

@@ -198,7 +198,13 @@ hg_status hg_hair_config_load(hg_config **config, const char *path)
     int n;
     const hg_config_row *schema_rows = hg_hair_schema(&n);
     if (!schema_rows) return HG_MEMORY;
-    return hg_config_load(config, path, schema_rows, n);
+    const hg_status status = hg_config_load(config, path, schema_rows, n);
+    if (status != HG_INVALID || !strstr(hg_message(), "unknown key \"losses.")) return status;
+    char *sentence = hg_strdup(hg_message());
+    if (!sentence) return HG_MEMORY;
+    hg_fail(status, "%s; an energy of a plug-in is known once --plugin FILE has loaded it", sentence);
+    hg_free(sentence);
+    return status;
 }
 
 /* An echo writes every section, so whether an energy is on has to stand in its weight. */

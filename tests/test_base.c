@@ -142,7 +142,7 @@ static void test_registry(void **state)
     assert_string_equal(hg_nearest("test kind", "Aple"), "apple");
     assert_null(hg_nearest("test kind", "hippopotamus"));
     assert_null(hg_registry_clash());
-    static hg_entry again = { .kind = "test kind", .name = "zebra", .item = &second };
+    static hg_entry again = { .abi = HG_ABI_VERSION, .kind = "test kind", .name = "zebra", .item = &second };
     hg_register(&again);
     assert_ptr_equal(hg_find("test kind", "zebra"), &first); /* the first one wins, the second is remembered */
     assert_non_null(hg_registry_clash());

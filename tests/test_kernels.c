@@ -187,7 +187,8 @@ static void test_printed(void **state)
             kernels[dtype][i] = (hg_strand_kernel_entry){ p->hash[i], WIDTH / bytes, bytes, "plain", *run };
             snprintf(names[dtype][i], sizeof names[dtype][i], "%s plain %016llx", hg_dtype_name(p->dtype),
                      (unsigned long long)p->hash[i]);
-            entries[dtype][i] = (hg_entry){ "strand_kernel", names[dtype][i], &kernels[dtype][i], NULL };
+            entries[dtype][i] =
+                (hg_entry){ HG_ABI_VERSION, "strand_kernel", names[dtype][i], &kernels[dtype][i], NULL };
             hg_register(&entries[dtype][i]);
         }
         each_variant(check_printed, p);
