@@ -35,7 +35,7 @@ static void print_help(FILE *to)
           "usage: hairgrad COMMAND [options] ...      hairgrad COMMAND --help says more\n\ncommands:\n",
           to);
     print_commands(to);
-    fputs("\noptions before COMMAND:\n", to);
+    fputs("\noptions:\n", to);
     cli_print_options(to, program_options, sizeof program_options / sizeof *program_options);
 }
 
