@@ -35,6 +35,7 @@ hg_status hg_export_hair_h5(hg_hair_task *task, hg_ctx *ctx, const char *path);
 typedef struct hg_vtkhdf hg_vtkhdf;
 /* Polylines of `vertices` points; attributes T, S, V and our own data outside /VTKHDF. */
 hg_status hg_vtkhdf_create_strands(hg_vtkhdf **file, const char *path, int64_t frames, int64_t strands, int64_t vertices, double rate);
+hg_status hg_vtkhdf_create_polylines(hg_vtkhdf **file, const char *path, int64_t frames, int64_t strands, const int64_t *start /* [S+1] */, double rate); /* of different lengths: no attribute V */
 hg_status hg_vtkhdf_create_mesh(hg_vtkhdf **file, const char *path, int64_t frames, int64_t vertices, int64_t faces, const int32_t *triangles, double rate);
 hg_status hg_vtkhdf_add(hg_vtkhdf *file, const float *points);                     /* the next frame */
 hg_status hg_vtkhdf_commit(hg_vtkhdf *file);                                       /* frees; the file appears */

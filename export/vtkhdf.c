@@ -122,16 +122,17 @@ static hg_status create(hg_vtkhdf **file, const char *path, int64_t frames, int6
 }
 
 /* Which strand a point is of, and how far along it, from 0 at the root to 1 at the tip. */
-static hg_status write_strand_data(hg_vtkhdf *file, int64_t strands, int64_t vertices)
+static hg_status write_strand_data(hg_vtkhdf *file, int64_t strands, const int64_t *start)
 {
     int64_t points = file->points;
     int32_t *strand = hg_alloc((size_t)points, sizeof *strand);
     float *along = hg_alloc((size_t)points, sizeof *along);
     hg_status status = strand && along ? HG_OK : HG_MEMORY;
-    for (int64_t i = 0; status == HG_OK && i < points; i++) {
-        strand[i] = (int32_t)(i / vertices);
-        along[i] = vertices > 1 ? (float)(i % vertices) / (float)(vertices - 1) : 0.0f;
-    }
+    for (int64_t s = 0; status == HG_OK && s < strands; s++)
+        for (int64_t i = start[s], n = start[s + 1] - i, v = 0; v < n; v++) {
+            strand[i + v] = (int32_t)s;
+            along[i + v] = n > 1 ? (float)v / (float)(n - 1) : 0.0f;
+        }
     hg_h5 *h5 = file->h5;
     if (status == HG_OK) status = hg_h5_write(h5, "VTKHDF/PointData/strand", HG_I32, 1, &points, strand);
     if (status == HG_OK) status = hg_h5_write(h5, "VTKHDF/PointData/along", HG_F32, 1, &points, along);
@@ -140,24 +141,27 @@ static hg_status write_strand_data(hg_vtkhdf *file, int64_t strands, int64_t ver
     hg_free(strand);
     hg_free(along);
     HG_TRY(status);
-    HG_TRY(hg_h5_set_number(h5, "", "S", (double)strands));
-    return hg_h5_set_number(h5, "", "V", (double)vertices);
+    return hg_h5_set_number(h5, "", "S", (double)strands);
 }
 
-/* Cells of `size` points each; corners NULL: 0, 1, 2, ... */
-static hg_status write_mesh(hg_vtkhdf *file, const char *kind, int64_t cells, int64_t size, const int32_t *corners,
-                            double rate)
+hg_status hg_vtkhdf_create_polylines(hg_vtkhdf **file, const char *path, int64_t frames, int64_t strands,
+                                     const int64_t *start, double rate)
 {
-    int64_t *offsets = hg_alloc((size_t)cells + 1, sizeof *offsets);
-    int64_t *connectivity = hg_alloc((size_t)(cells * size) + 1, sizeof *connectivity);
-    hg_status status = offsets && connectivity ? HG_OK : HG_MEMORY;
-    if (status == HG_OK) {
-        for (int64_t i = 0; i <= cells; i++) offsets[i] = i * size;
-        for (int64_t i = 0; i < cells * size; i++) connectivity[i] = corners ? corners[i] : i;
-        status = write_head(file, kind, cells, offsets, connectivity, rate);
-    }
-    hg_free(offsets);
+    *file = NULL;
+    if (strands < 1 || start[strands] > INT32_MAX)
+        return hg_fail(HG_INVALID, "%s: %lld strands of %lld vertices together; there have to be some, and at most %d",
+                       path, (long long)strands, (long long)start[strands], INT32_MAX);
+    HG_TRY(create(file, path, frames, start[strands], rate));
+    int64_t *connectivity = hg_alloc((size_t)start[strands], sizeof *connectivity);
+    hg_status status = connectivity ? HG_OK : HG_MEMORY;
+    for (int64_t i = 0; status == HG_OK && i < start[strands]; i++) connectivity[i] = i;
+    if (status == HG_OK) status = write_head(*file, "Lines", strands, start, connectivity, rate);
     hg_free(connectivity);
+    if (status == HG_OK) status = write_strand_data(*file, strands, start);
+    if (status != HG_OK) {
+        hg_vtkhdf_discard(*file);
+        *file = NULL;
+    }
     return status;
 }
 
@@ -168,13 +172,32 @@ hg_status hg_vtkhdf_create_strands(hg_vtkhdf **file, const char *path, int64_t f
     if (strands < 1 || vertices < 1 || strands > INT32_MAX / vertices)
         return hg_fail(HG_INVALID, "%s: %lld strands of %lld vertices; both have to be at least 1", path,
                        (long long)strands, (long long)vertices);
-    HG_TRY(create(file, path, frames, strands * vertices, rate));
-    hg_status status = write_mesh(*file, "Lines", strands, vertices, NULL, rate);
-    if (status == HG_OK) status = write_strand_data(*file, strands, vertices);
-    if (status != HG_OK) {
+    int64_t *start = hg_alloc((size_t)strands + 1, sizeof *start);
+    if (!start) return HG_MEMORY;
+    for (int64_t s = 0; s <= strands; s++) start[s] = s * vertices;
+    hg_status status = hg_vtkhdf_create_polylines(file, path, frames, strands, start, rate);
+    hg_free(start);
+    if (status == HG_OK) status = hg_h5_set_number((*file)->h5, "", "V", (double)vertices);
+    if (status != HG_OK && *file) {
         hg_vtkhdf_discard(*file);
         *file = NULL;
     }
+    return status;
+}
+
+/* Triangles. */
+static hg_status write_triangles(hg_vtkhdf *file, int64_t faces, const int32_t *corners, double rate)
+{
+    int64_t *offsets = hg_alloc((size_t)faces + 1, sizeof *offsets);
+    int64_t *connectivity = hg_alloc((size_t)(faces * 3) + 1, sizeof *connectivity);
+    hg_status status = offsets && connectivity ? HG_OK : HG_MEMORY;
+    if (status == HG_OK) {
+        for (int64_t i = 0; i <= faces; i++) offsets[i] = i * 3;
+        for (int64_t i = 0; i < faces * 3; i++) connectivity[i] = corners[i];
+        status = write_head(file, "Polygons", faces, offsets, connectivity, rate);
+    }
+    hg_free(offsets);
+    hg_free(connectivity);
     return status;
 }
 
@@ -188,7 +211,7 @@ hg_status hg_vtkhdf_create_mesh(hg_vtkhdf **file, const char *path, int64_t fram
             return hg_fail(HG_INVALID, "%s: face %lld names vertex %d of %lld", path, (long long)(i / 3),
                            (int)triangles[i], (long long)vertices);
     HG_TRY(create(file, path, frames, vertices, rate));
-    hg_status status = write_mesh(*file, "Polygons", faces, 3, triangles, rate);
+    hg_status status = write_triangles(*file, faces, triangles, rate);
     if (status != HG_OK) {
         hg_vtkhdf_discard(*file);
         *file = NULL;

@@ -149,6 +149,19 @@ hg_status hg_curves_resample(hg_curves *curves, int64_t vertices)
     return HG_OK;
 }
 
+hg_status scene_equal_vertices(const hg_curves *curves, const char *path, int64_t *vertices)
+{
+    *vertices = curves->start[1];
+    for (int64_t s = 1; s < curves->strands; s++)
+        if (curves->start[s + 1] - curves->start[s] != *vertices)
+            return hg_fail(HG_INVALID,
+                           "%s: strand 0 has %lld vertices and strand %lld has %lld; .%s holds strands of one number "
+                           "only: resample them (--vertices N)",
+                           path, (long long)*vertices, (long long)s,
+                           (long long)(curves->start[s + 1] - curves->start[s]), hg_path_extension(path));
+    return HG_OK;
+}
+
 /* ---- units and axes ----------------------------------------------------------------------------------------- */
 
 void hg_curves_to_world(hg_curves *curves, double unit, bool z_up)

@@ -57,6 +57,10 @@ scene_strand_kind scene_strand_classify(const float *points, int64_t n);
 int64_t scene_strand_points(const float *points, int64_t n, double *out);
 #define SCENE_SHORTEST 1e-6 /* m; a strand below this has no direction, and rest lengths are never divided by less */
 
+/* The number of vertices that every strand of curves has, or an error that names the first that has another: for formats
+ * of equal strands. */
+hg_status scene_equal_vertices(const hg_curves *curves, const char *path, int64_t *vertices);
+
 double scene_length(const float *points, int64_t vertices); /* of a strand, along it */
 
 hg_status scene_motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate);

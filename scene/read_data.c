@@ -90,10 +90,10 @@ static hg_status read_bin(hg_curves **curves, const char *path) { return read_fi
 static const hg_groom_reader data_reader = { .extension = "data",
                                              .what = "USC-HairSalon, Hair20K",
                                              .read = read_data,
-                                             .unit = "not stored; USC-HairSalon is in metres, +Y up" };
+                                             .unit = "USC-HairSalon is in metres, +Y up" };
 HG_REGISTER("groom reader", data, &data_reader);
 
 static const hg_groom_reader bin_reader = {
-    .extension = "bin", .what = "CT2Hair", .read = read_bin, .unit = "not stored, and it varies: look at the lengths"
+    .extension = "bin", .what = "CT2Hair", .read = read_bin, .unit = "it varies: look at the lengths"
 };
 HG_REGISTER("groom reader", bin, &bin_reader);

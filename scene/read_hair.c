@@ -72,8 +72,7 @@ static hg_status read_hair(hg_curves **curves, const char *path)
     return status;
 }
 
-static const hg_groom_reader reader = { .extension = "hair",
-                                        .what = "Cem Yuksel's HAIR",
-                                        .read = read_hair,
-                                        .unit = "not stored; inches and centimetres are both found" };
+static const hg_groom_reader reader = {
+    .extension = "hair", .what = "Cem Yuksel's HAIR", .read = read_hair, .unit = "inches and centimetres are both found"
+};
 HG_REGISTER("groom reader", hair, &reader);

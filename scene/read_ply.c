@@ -304,6 +304,5 @@ static hg_status read_ply(hg_curves **curves, const char *path)
 
 static const hg_groom_reader reader = { .extension = "ply",
                                         .what = "strands as edges, polylines, segments or strand numbers",
-                                        .read = read_ply,
-                                        .unit = "not stored" };
+                                        .read = read_ply };
 HG_REGISTER("groom reader", ply, &reader);

@@ -1,5 +1,6 @@
 /* TressFX hair: binary .tfx of version 4 (160-byte header, four floats a point) and 3 (296-byte header, three floats a
- * point), and the text of version 2. Numbers are little-endian. Only positions are used. */
+ * point), and the text of version 2. Numbers are little-endian. Positions are used, and the strands' UV where a
+ * binary file has them. */
 #include "scene/lines.h"
 #include "scene/scene.h"
 
@@ -36,17 +37,21 @@ static hg_status read_binary(hg_curves **out, hg_bytes *from)
             HG_FORMAT, "%s: the header says %u strands of %u points from offset %u, that is %llu bytes; %zu are there",
             from->path, strands, vertices, offset, (unsigned long long)(points * width * 4), from->size - offset);
 
-    hg_curves *curves = hg_alloc(1, sizeof *curves);
-    if (!curves) return HG_MEMORY;
-    *out = curves;
-    curves->strands = strands;
-    curves->start = hg_alloc((size_t)strands + 1, sizeof *curves->start);
-    curves->points = hg_alloc(points, 3 * sizeof *curves->points);
-    if (!curves->start || !curves->points) return HG_MEMORY;
+    HG_TRY(hg_curves_create(out, strands, (int64_t)points));
+    hg_curves *curves = *out;
     for (uint32_t s = 0; s <= strands; s++) curves->start[s] = (int64_t)s * vertices;
     const uint8_t *at = from->bytes + offset;
     for (uint64_t i = 0; i < points; i++) memcpy(curves->points + 3 * i, at + 4 * width * i, 12);
-    return HG_OK;
+    HG_TRY(hg_bytes_seek(from, four ? 16 : 152, "header"));
+    HG_TRY(hg_bytes_read(from, &offset, 4, "offset of the strands' UV"));
+    if (offset == 0) return HG_OK;
+    if (offset < header)
+        return hg_fail(HG_FORMAT, "%s: UV of strands would start at offset %u, inside the header of %zu bytes",
+                       from->path, offset, header);
+    HG_TRY(hg_bytes_seek(from, offset, "UV of strands"));
+    curves->root_uv = hg_alloc(strands, 2 * sizeof *curves->root_uv);
+    if (!curves->root_uv) return HG_MEMORY;
+    return hg_bytes_read(from, curves->root_uv, (size_t)strands * 2 * sizeof *curves->root_uv, "UV of strands");
 }
 
 /* One strand of version 2: "strand I numVerts N texcoord U V", then N lines "x, y, z". */
@@ -102,9 +107,9 @@ static hg_status read_text(hg_curves **out, hg_lines *lines)
                 (uint64_t)strands > hg_lines_left(lines) / 8)
                 return hg_lines_fail(
                     lines, "numStrands is not a number of strands that this file can hold, or is given twice");
-            curves = *out = hg_alloc(1, sizeof *curves);
-            if (!curves || !(curves->start = hg_alloc((size_t)strands + 1, sizeof *curves->start))) return HG_MEMORY;
-            curves->strands = strands;
+            capacity = 1;
+            HG_TRY(hg_curves_create(out, strands, capacity));
+            curves = *out;
         } else if (hg_word_is_any_case(word, "strand")) {
             if (!curves || strand >= strands)
                 return hg_lines_fail(lines, "a strand %s", curves ? "more than numStrands says" : "before numStrands");
@@ -138,5 +143,6 @@ static hg_status read_tfx(hg_curves **curves, const char *path)
 
 static const hg_groom_reader reader = { .extension = "tfx",
                                         .what = "TressFX 2 (text), 3 and 4 (binary)",
-                                        .read = read_tfx };
+                                        .read = read_tfx,
+                                        .unit = "metres and centimetres are both found" };
 HG_REGISTER("groom reader", tfx, &reader);

@@ -154,7 +154,7 @@ hg_status hg_fit_groom(hg_ctx *ctx, hg_groom *groom, const hg_body *body, const 
 typedef struct {
     const char *extension, *what;
     hg_status (*read)(hg_curves **curves, const char *path);
-    const char *unit;                                                             /* what the numbers usually are, for messages; NULL: nothing is known */
+    const char *unit;                                                             /* of a format that does not say: what is found, for messages; NULL: nothing is known */
     hg_status (*read_frame)(hg_curves **curves, const char *path, int64_t frame); /* of a file that moves; NULL: it does not */
     bool metres;                                                                  /* the file knows its unit and axes: metres, +Y up when read */
 } hg_groom_reader;                                                                /* kind "groom reader" */
@@ -191,6 +191,26 @@ typedef struct { const char *extension /* "": a folder */, *what; hg_status (*re
 hg_status hg_body_read(hg_ctx *ctx, hg_body **body, const char *path, const hg_import *with /* or NULL */, hg_text *notes);
 /* MakeHuman base mesh with an MPFB rig: folder as ../data/bodies (makehuman/base.obj, makehuman/targets, mpfb2/rig.*.json, weights.*.json). */
 hg_status hg_body_read_makehuman(hg_ctx *ctx, hg_body **body, const char *folder, const char *rig /* "cmu_mb" */);
+
+/* ---- checks ------------------------------------------------------------------------------------------------- */
+
+/* What there is to say about a file, one finding a line: fine, a warning (it will work, perhaps not as meant) or an error. */
+typedef enum { HG_FINE, HG_WARNING, HG_ERROR } hg_severity;
+typedef struct { hg_severity severity; const char *about /* a word, constant */; char *text; } hg_finding;
+typedef struct { int n, capacity; hg_finding *list; bool failed /* out of memory */; } hg_findings;    /* {0} is empty */
+void hg_findings_add(hg_findings *findings, hg_severity severity, const char *about, const char *format, ...) HG_PRINTF(4, 5);
+int  hg_findings_count(const hg_findings *findings, hg_severity severity);
+void hg_findings_free(hg_findings *findings);
+
+typedef enum { HG_STRAND_FINE, HG_STRAND_DROPPED, HG_STRAND_DUPLICATE, HG_STRAND_EDGES, HG_STRAND_ROOT, HG_STRAND_INSIDE } hg_strand_problem; /* the worst of each strand */
+/* Strands in metres, +Y up: number, lengths and unit, edges, duplicates, up axis, root UV; with a body the roots' distance to its
+ * scalp, vertices inside it and whether the groom is bound to it. problem [S], NULL: not asked for. */
+hg_status hg_check_groom(hg_ctx *ctx, hg_findings *findings, const hg_curves *curves, const hg_body *body, uint8_t *problem);
+hg_status hg_check_body(hg_findings *findings, const hg_body *body);
+hg_status hg_check_motion(hg_findings *findings, const hg_motion *motion, const hg_body *body /* NULL: its joints are not compared */);
+/* Are these lengths those of hair in metres? If not, `text` says what they look like. Looked at: the extent of the roots, about
+ * 0.2 m on a head, and the median length. */
+bool hg_curves_in_metres(const hg_curves *curves, char text[160]);
 
 /* A skeleton with its own rest pose and a clip on it, as a file has it. Retargeting makes an hg_motion of it. */
 typedef struct {

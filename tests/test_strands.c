@@ -1,5 +1,6 @@
 /* Readers and writers of strands: small files written here, every truncation and many lies, round trips between all
  * formats, and the real grooms of ../shared/data where they are. */
+#include "export/export.h"
 #include "tests/small_files.h"
 
 #include <math.h>
@@ -261,12 +262,209 @@ static void bad_ply_is_refused(void **state)
     cut_everywhere("b.ply", (const uint8_t *)small_ply[0], size - 2); /* "2 3" less its end is still "2 3" or "2" */
 }
 
+/* ---- .tfx --------------------------------------------------------------------------------------------------- */
+
+static void tfx_has_root_uv(void **state)
+{
+    (void)state;
+    uint8_t bytes[1024];
+    float uv[6] = { 0.1F, 0.2F, 0.3F, 0.4F, 0.5F, 0.6F };
+    hg_curves *curves;
+    for (int version = 3; version <= 4; version++) {
+        size_t size = small_tfx(version, bytes), offset = version == 4 ? 16 : 152;
+        put(bytes, offset, (uint32_t)size);
+        memcpy(bytes + size, uv, sizeof uv);
+        ok(hg_curves_read(&curves, small_write("uv.tfx", bytes, size + sizeof uv)));
+        assert_memory_equal(curves->root_uv, uv, sizeof uv);
+        hg_curves_destroy(curves);
+        refused(hg_curves_read(&curves, small_write("uv.tfx", bytes, size + sizeof uv - 1)), "uv.tfx", "UV of strands");
+        put(bytes, offset, 8);
+        refused(hg_curves_read(&curves, small_write("uv.tfx", bytes, size)), "uv.tfx", "inside the header");
+        put(bytes, offset, 0xfffffff0);
+        refused(hg_curves_read(&curves, small_write("uv.tfx", bytes, size)), "uv.tfx", "is said to begin at");
+    }
+}
+
+/* ---- HDF5 --------------------------------------------------------------------------------------------------- */
+
+static void vtkhdf_reads(void **state)
+{
+    (void)state;
+    static const int64_t start[] = { 0, 1, 4, 6 };
+    float points[2][18];
+    hg_vtkhdf *file;
+    hg_curves *curves;
+    const char *path = small_path("two.vtkhdf");
+    for (uint32_t s = 0, i = 0; s < 3; s++)
+        for (uint32_t p = 0; p < small_counts[s]; p++, i++) {
+            small_point(s, p, points[1] + 3 * i);
+            small_point(s + 7, p, points[0] + 3 * i);
+        }
+    ok(hg_vtkhdf_create_polylines(&file, path, 2, 3, start, 30));
+    ok(hg_vtkhdf_add(file, points[0]));
+    ok(hg_vtkhdf_add(file, points[1]));
+    ok(hg_vtkhdf_commit(file));
+    ok(hg_curves_read_frame(&curves, path, 1));
+    is_small(curves);
+    hg_curves_destroy(curves);
+    ok(hg_curves_read(&curves, path));
+    assert_memory_equal(curves->points, points[0], sizeof points[0]);
+    hg_curves_destroy(curves);
+    assert_int_equal(hg_curves_read_frame(&curves, path, 2), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "two.vtkhdf: frame 2: it has frames 0 to 1"));
+    assert_int_equal(hg_curves_read_frame(&curves, small_write_text("a.ply", small_ply[0]), 1), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "one frame"));
+    ok(hg_vtkhdf_create_mesh(&file, path, 1, 6, 1, (int32_t[]){ 0, 1, 2 }, 30));
+    ok(hg_vtkhdf_add(file, points[0]));
+    ok(hg_vtkhdf_commit(file));
+    refused(hg_curves_read(&curves, path), "two.vtkhdf", "no polylines");
+}
+
+/* ---- round trips -------------------------------------------------------------------------------------------- */
+
+/* Every format that can hold these strands gives them back bit for bit. */
+static void round_trip(const hg_curves *curves, const char *const *paths, int n)
+{
+    for (int i = 0; i < n; i++) {
+        const char *slash = strchr(paths[i], '/');
+        char name[64];
+        snprintf(name, sizeof name, "%.*s", slash ? (int)(slash - paths[i]) : 63, paths[i]);
+        const char *path = small_path(name);
+        hg_curves *back;
+        ok(hg_curves_write(curves, path, slash ? slash + 1 : NULL));
+        ok(hg_curves_read(&back, path));
+        assert_int_equal(back->strands, curves->strands);
+        assert_memory_equal(back->start, curves->start, (size_t)(curves->strands + 1) * sizeof *curves->start);
+        assert_memory_equal(back->points, curves->points, (size_t)curves->start[curves->strands] * 12);
+        hg_curves_destroy(back);
+    }
+}
+
+static const char *const ragged_formats[] = {
+    "r.hair", "r.data", "r.bin", "r.ply", "r.ply/ascii", "r.npz", "r.vtkhdf"
+};
+static const char *const equal_formats[] = { "e.hair",  "e.data",  "e.bin", "e.ply",    "e.ply/ascii", "e.tfx",
+                                             "e.tfx/3", "e.tfx/4", "e.npz", "e.vtkhdf", "e.h5" };
+enum { RAGGED = sizeof ragged_formats / sizeof *ragged_formats, EQUAL = sizeof equal_formats / sizeof *equal_formats };
+
+static void round_trips(void **state)
+{
+    (void)state;
+    uint8_t bytes[1024];
+    hg_curves *curves;
+    ok(hg_curves_read(&curves, small_write("s.data", bytes, small_data(3, bytes))));
+    for (int64_t i = 0; i < 18; i++) curves->points[i] += (float)hg_random_normal(1, 2, (uint64_t)i); /* all digits */
+    round_trip(curves, ragged_formats, RAGGED);
+    const char *const equal[] = { "x.tfx", "x.h5" };
+    for (int i = 0; i < 2; i++) {
+        assert_int_equal(hg_curves_write(curves, small_path(equal[i]), NULL), HG_INVALID);
+        assert_non_null(strstr(hg_message(), "strand 0 has 1 vertices and strand 1 has 3"));
+        assert_false(hg_file_exists(small_path(equal[i])));
+    }
+    assert_int_equal(hg_curves_write(curves, small_path("x.xyz"), NULL), HG_UNSUPPORTED);
+    assert_non_null(strstr(hg_message(), ".data (USC-HairSalon"));
+    assert_int_equal(hg_curves_write(curves, small_path("x.ply"), "text"), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "no variant \"text\"; known are binary|ascii"));
+    assert_int_equal(hg_curves_write(curves, small_path("x.hair"), "text"), HG_INVALID);
+    assert_int_equal(hg_curves_write(curves, small_path("none/x.hair"), NULL), HG_IO);
+    hg_groom_report report;
+    ok(hg_curves_clean(curves, &report));
+    ok(hg_curves_resample(curves, 9));
+    round_trip(curves, equal_formats, EQUAL);
+    curves->root_uv = hg_alloc(2, 2 * sizeof *curves->root_uv);
+    curves->root_uv[3] = 0.75F;
+    hg_curves *back;
+    static const char *const with_uv[] = { "u.tfx", "u.npz" };
+    for (int i = 0; i < 2; i++) {
+        ok(hg_curves_write(curves, small_path(with_uv[i]), NULL));
+        ok(hg_curves_read(&back, small_path(with_uv[i])));
+        assert_non_null(back->root_uv);
+        assert_memory_equal(back->root_uv, curves->root_uv, 4 * sizeof *back->root_uv);
+        hg_curves_destroy(back);
+    }
+    hg_curves_destroy(curves);
+}
+
+/* A bound groom written and read again is the same groom. */
+static void bound_groom_stays_bound(void **state)
+{
+    (void)state;
+    hg_body *body;
+    hg_groom *groom, *back;
+    hg_curves *curves;
+    ok(small_body(&body));
+    ok(small_groom(&groom, body));
+    groom->body_hash = hg_body_hash(body);
+    const char *path = small_path("bound.h5"), *copy = small_path("copy.h5");
+    ok(hg_groom_save(groom, path));
+    ok(hg_curves_read(&curves, path));
+    ok(hg_curves_write(curves, copy, NULL));
+    ok(hg_groom_load(&back, copy));
+    assert_true(hg_groom_hash(back) == hg_groom_hash(groom));
+    hg_groom_destroy(back);
+    ok(hg_curves_select(curves, 1, (int64_t[]){ 1 }));
+    ok(hg_curves_write(curves, copy, NULL));
+    ok(hg_groom_load(&back, copy));
+    assert_int_equal(back->strands, 1);
+    assert_int_equal(back->root_face[0], groom->root_face[1]);
+    assert_true(back->root_bary[0] == 1 && back->body_hash == groom->body_hash);
+    hg_groom_destroy(back);
+    hg_groom_destroy(groom);
+    hg_curves_destroy(curves);
+    hg_body_destroy(body);
+}
+
+static void strands_are_chosen(void **state)
+{
+    (void)state;
+    uint8_t bytes[1024];
+    hg_curves *curves;
+    ok(hg_curves_read(&curves, small_write("s.data", bytes, small_data(3, bytes))));
+    assert_int_equal(hg_curves_select(curves, 2, (int64_t[]){ 1, 1 }), HG_INVALID);
+    assert_int_equal(hg_curves_select(curves, 1, (int64_t[]){ 3 }), HG_INVALID);
+    hg_curves_destroy(curves);
+    ok(hg_curves_read(&curves, small_path("s.data")));
+    ok(hg_curves_select(curves, 2, (int64_t[]){ 0, 2 }));
+    assert_int_equal(curves->strands, 2);
+    assert_int_equal(curves->start[1], 1);
+    assert_int_equal(curves->start[2], 3);
+    assert_true(curves->points[3] == 2 && curves->points[7] == 0.25F);
+    assert_int_equal(hg_curves_resample(curves, 5), HG_INVALID); /* strand 0 is bald */
+    assert_int_equal(hg_curves_resample(curves, 1), HG_INVALID);
+    hg_curves_to_world(curves, 0.5, true);
+    assert_true(curves->points[6] == 1 && curves->points[7] == -0.25F && curves->points[8] == -0.125F);
+    hg_curves_from_world(curves, 0.5, true);
+    assert_true(curves->points[6] == 2 && curves->points[7] == 0.25F && curves->points[8] == -0.5F);
+    hg_curves_destroy(curves);
+}
+
+/* Real grooms through every format. */
+static void real_round_trips(void **state)
+{
+    (void)state;
+    static const char *const names[] = { "sintel-16pt/SintelHairOriginal-sintel_hair.16points.tfx",
+                                         "fibermesh2/Fibermesh2_mohi0.3k_Curves.tfx" };
+    for (int i = 0; i < 2; i++) {
+        char path[1024];
+        const char *source = getenv("HG_SOURCE");
+        hg_curves *curves;
+        snprintf(path, sizeof path, "%s/../shared/data/grooms/%s", source ? source : ".", names[i]);
+        if (!hg_file_exists(path)) skip();
+        ok(hg_curves_read(&curves, path));
+        round_trip(curves, equal_formats, EQUAL);
+        hg_curves_destroy(curves);
+    }
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(hair_reads), cmocka_unit_test(bad_hair_is_refused),
-        cmocka_unit_test(data_reads), cmocka_unit_test(bad_data_is_refused),
-        cmocka_unit_test(ply_reads),  cmocka_unit_test(bad_ply_is_refused),
+        cmocka_unit_test(hair_reads),         cmocka_unit_test(bad_hair_is_refused),
+        cmocka_unit_test(data_reads),         cmocka_unit_test(bad_data_is_refused),
+        cmocka_unit_test(ply_reads),          cmocka_unit_test(bad_ply_is_refused),
+        cmocka_unit_test(tfx_has_root_uv),    cmocka_unit_test(vtkhdf_reads),
+        cmocka_unit_test(round_trips),        cmocka_unit_test(bound_groom_stays_bound),
+        cmocka_unit_test(strands_are_chosen), cmocka_unit_test(real_round_trips),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
