@@ -237,10 +237,30 @@ static const hg_sample scatter_samples[] = {
       .in = { { 2, { 0, 3 } }, { 1, { 0 }, HG_I32, .values = (const double[]){ 0 } } },
       SCATTER(2) },
 };
+/* A product with the matrix of ones at (index[i], i): in opset 15 nothing else adds where indices are equal. */
+static hg_status scatter_emit(const hg_call *call, hg_emitter *e)
+{
+    const hg_tensor *out = call->out;
+    enum { INT64 = 7 }; /* TensorProto.DataType: runtimes take no other indices for OneHot */
+    const int64_t rows = out->shape[0], two = 2, none = 0, rank = out->rank;
+    static const float values[2] = { 0, 1 };
+    const int number = e->input(e->self, call->in[1]),
+              index = e->node(e->self, "Cast", 1, &number, "to=i", (int64_t)INT64);
+    const int depth = e->constant_i64(e->self, 0, NULL, &rows);
+    const int hot = e->node(e->self, "OneHot", 3, (int[]){ index, depth, e->constant_f32(e->self, 1, &two, values) },
+                            "axis=i", none);
+    const int flat[2] = { e->input(e->self, call->in[0]),
+                          e->constant_i64(e->self, 1, &two, (int64_t[]){ 0, row_of(call->in[0], 1) }) };
+    const int sums = e->node(e->self, "MatMul", 2, (int[]){ hot, e->node(e->self, "Reshape", 2, flat, "") }, "");
+    const int shaped[2] = { sums, e->constant_i64(e->self, 1, &rank, out->shape) };
+    return e->output(e->self, out, e->node(e->self, "Reshape", 2, shaped, ""));
+}
+
 HG_OP(scatter_add, .formula = "y[index[i]] += a[i]", .min_in = 2, .max_in = 2,
       .attributes_size = sizeof(scatter_attributes), .shape = scatter_shape, .forward = scatter_forward,
       .backward = scatter_backward, .samples = scatter_samples,
-      .n_samples = sizeof scatter_samples / sizeof *scatter_samples, .reference = scatter_reference);
+      .n_samples = sizeof scatter_samples / sizeof *scatter_samples, .reference = scatter_reference,
+      .emit = scatter_emit);
 
 hg_tensor *hg_scatter_add(hg_ctx *ctx, hg_tensor *a, hg_tensor *index, int64_t rows)
 {

@@ -88,7 +88,7 @@ static void copy_reference(const hg_call *call, double *out)
     for (int64_t i = 0; i < hg_tensor_count(call->in[0]); i++) out[i] = hg_tensor_item(call->in[0], i);
 }
 
-/* The number of rows stays open: 0 (as the input has it) where the first axis is kept, else -1. */
+/* Leading axes that are kept stay open (0: as the input has it), or, where the first is not kept, the number of rows (-1). */
 static hg_status reshape_emit(const hg_call *call, hg_emitter *e)
 {
     const reshape_attributes *attributes = call->attributes;
@@ -101,7 +101,7 @@ static hg_status reshape_emit(const hg_call *call, hg_emitter *e)
     }
     if (n > 0 && shape[0] != -1 && in->rank > 0) {
         if (in->shape[0] == out->shape[0])
-            shape[0] = 0;
+            for (int i = 0; i < n && i < in->rank && shape[i] != -1 && in->shape[i] == out->shape[i]; i++) shape[i] = 0;
         else if (!open)
             shape[0] = -1;
     }

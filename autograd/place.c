@@ -133,9 +133,32 @@ static const hg_sample place_samples[] = {
     PLACE("one edge", 1, 1, 2, 3, 1, 2, 3),    PLACE("roots only", 1, 2, 1, 3, 2, 1, 3),
     PLACE("no strands", 1, 0, 4, 3, 0, 4, 3),
 };
+static int at_axis(hg_emitter *e, const char *op_type, int value, int64_t axis)
+{
+    const int in[2] = { value, e->constant_i64(e->self, 1, (int64_t[]){ 1 }, &axis) };
+    return e->node(e->self, op_type, 2, in, "");
+}
+
+static hg_status place_emit(const hg_call *call, hg_emitter *e)
+{
+    int in[4];
+    for (int i = 0; i < 4; i++) in[i] = e->input(e->self, call->in[i]);
+    static const int64_t before[8] = { 0, 0, 1, 0, 0, 0, 0, 0 }, eight = 8, one = 1, zero = 0;
+    const int pads[2] = { in[0], e->constant_i64(e->self, 1, &eight, before) };
+    const int d = e->node(e->self, "Pad", 2, pads, ""); /* the root does not move */
+    const int axis = e->constant_i64(e->self, 1, &one, (int64_t[]){ -2 });
+    const int root[4] = { in[1], e->constant_i64(e->self, 1, &one, &zero), e->constant_i64(e->self, 1, &one, &one),
+                          axis };
+    const int from_root = e->node(e->self, "Sub", 2, (int[]){ in[1], e->node(e->self, "Slice", 4, root, "") }, "");
+    const int moved = e->node(e->self, "Add", 2, (int[]){ from_root, d }, "");
+    const int turned = hg_emit_quat_rotate(e, at_axis(e, "Unsqueeze", in[2], 2), moved);
+    const int x = e->node(e->self, "Add", 2, (int[]){ at_axis(e, "Unsqueeze", in[3], 2), turned }, "");
+    return e->output(e->self, call->out, x);
+}
+
 HG_OP(place, .formula = "x = p + R (rest + d - rest_root)", .min_in = 4, .max_in = 4, .shape = place_shape,
       .forward = place_forward, .backward = place_backward, .samples = place_samples,
-      .n_samples = sizeof place_samples / sizeof *place_samples, .reference = place_reference);
+      .n_samples = sizeof place_samples / sizeof *place_samples, .reference = place_reference, .emit = place_emit);
 
 hg_tensor *hg_place(hg_ctx *ctx, hg_tensor *d, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position)
 {

@@ -49,5 +49,12 @@ int hg_emit_scalar(hg_emitter *emitter, double value);
 int hg_emit_activation(hg_emitter *emitter, hg_activation activation, int value);
 hg_status hg_emit_one(const hg_call *call, hg_emitter *emitter,
                       const char *op_type); /* one node, inputs as they come */
+/* Nodes for vectors and quaternions (emit_vector.c). pick: numbers of the last axis; dot keeps that axis. */
+int hg_emit_pick(hg_emitter *emitter, int value, int n, const int64_t *which);
+int hg_emit_dot(hg_emitter *emitter, int a, int b);
+int hg_emit_cross(hg_emitter *emitter, int a, int b);
+int hg_emit_quat_mul(hg_emitter *emitter, int a, int b);
+int hg_emit_quat_rotate(hg_emitter *emitter, int q, int v);
+int hg_emit_transport(hg_emitter *emitter, int a, int b);
 
 #endif

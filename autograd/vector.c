@@ -144,6 +144,17 @@ static hg_status dot_emit(const hg_call *call, hg_emitter *e)
     return e->output(e->self, call->out, e->node(e->self, "ReduceSum", 2, sum, "keepdims=i", (int64_t)0));
 }
 
+#define EMIT_PAIR(NAME_)                                                                                               \
+    static hg_status NAME_##_emit(const hg_call *call, hg_emitter *e)                                                  \
+    {                                                                                                                  \
+        int a = e->input(e->self, call->in[0]), b = e->input(e->self, call->in[1]);                                    \
+        return e->output(e->self, call->out, hg_emit_##NAME_(e, a, b));                                                \
+    }
+EMIT_PAIR(cross)
+EMIT_PAIR(quat_mul)
+EMIT_PAIR(quat_rotate)
+EMIT_PAIR(transport)
+
 #define SHAPE(...)                                                                                                     \
     {                                                                                                                  \
         __VA_ARGS__                                                                                                    \
@@ -190,10 +201,10 @@ static const hg_sample transport_samples[] = {
     }
 
 PAIR_OP(dot, "a . b along the last axis", 1, dot_emit)
-PAIR_OP(cross, "a x b", 3, NULL)
-PAIR_OP(quat_mul, "a b", 4, NULL)
-PAIR_OP(quat_rotate, "q v conj(q)", 3, NULL)
-PAIR_OP(transport, "(a.h, a x h), h = (a + b) / sqrt(max(|a + b|^2, 1e-4))", 4, NULL)
+PAIR_OP(cross, "a x b", 3, cross_emit)
+PAIR_OP(quat_mul, "a b", 4, quat_mul_emit)
+PAIR_OP(quat_rotate, "q v conj(q)", 3, quat_rotate_emit)
+PAIR_OP(transport, "(a.h, a x h), h = (a + b) / sqrt(max(|a + b|^2, 1e-4))", 4, transport_emit)
 
 /* ---- rows ---- */
 

@@ -19,12 +19,22 @@ extern "C" {
  * recorded call by the op's own emitter. The row axis is dynamic ("strands"). Tensors that are neither the input nor
  * made on the tape become initialisers. */
 typedef struct { const char *key, *value; } hg_onnx_metadata;
+typedef struct { const char *name; int64_t columns; const char *rows; /* name of its row axis */ } hg_onnx_input;
 typedef struct {
     const char *input, *output, *graph, *doc;
     int64_t columns;
     int n_metadata; const hg_onnx_metadata *metadata;
+    int n_inputs; const hg_onnx_input *inputs;     /* several: of hg_onnx_export_several, instead of input and columns */
+    int n_output_rows; const char *const *output_rows; /* names of the output's leading axes that are open; none: "strands" */
 } hg_onnx_options;
+#define HG_ONNX_INPUTS 4
+/* The same with a formula of several inputs, each [rows,columns]; row axes of one name have the same length. */
+hg_status hg_onnx_export_several(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor **inputs), void *self, const hg_onnx_options *options);
 hg_status hg_onnx_export(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input), void *self, const hg_onnx_options *options);
+/* The same network in two files, as it is fastest: PATH.strand.onnx, once per groom: raw strand features [strands,..] ->
+ * part [strands,width]; and PATH.frame.onnx, once per frame: part and raw frame features [frames,..] -> displacement
+ * [frames,strands,(V-1)*3]; with `model.output: directions` also rest [strands,(V-1)*3]. PATH's extension is left out. */
+hg_status hg_export_hair_onnx_factored(hg_hair_task *task, hg_ctx *ctx, const char *path, char **strand_path, char **frame_path); /* hg_free both */
 hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path);  /* with units, input order, normalisation, groom hash */
 /* /model/<layer>/{weight,bias}, the feature table, and /sample/{features,displacement}: rows of real input with the
  * network's answers, to test a runtime of one's own with. */

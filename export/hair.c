@@ -111,6 +111,92 @@ hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path)
     return status;
 }
 
+/* ---- ONNX in two parts --------------------------------------------------------------------------------------- */
+
+static hg_tensor *strand_part(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_hair_forward_strands(self, ctx, in[0]);
+}
+
+static hg_tensor *frame_part(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_hair_forward_frames(self, ctx, in[0], in[1], in[2]);
+}
+
+/* Columns of the rest strand, which only turned edges need. */
+static int rest_columns(const hg_hair_task *task)
+{
+    const hg_feature *features;
+    const int n = hg_hair_features(task, &features);
+    for (int i = 0; i < n; i++)
+        if (!strcmp(features[i].name, "rest")) return features[i].count;
+    return 0;
+}
+
+static hg_status export_parts(hg_hair_task *task, hg_ctx *ctx, const char *strand_path, const char *frame_path,
+                              const description *about)
+{
+    hg_onnx_metadata metadata[MOST_METADATA];
+    for (int i = 0; i < about->n; i++) metadata[i] = (hg_onnx_metadata){ about->key[i], about->value[i] };
+    const int rest = rest_columns(task), strand = hg_hair_strand_inputs(task) - rest;
+    const int frame = columns_of(task) - strand - rest;
+    const hg_onnx_input of_strands[] = { { "strand_features", strand, "strands" } };
+    const hg_onnx_options first = { .output = "part",
+                                    .graph = "strands",
+                                    .doc = "What the first layer makes of the strands, once per groom; goes into the "
+                                           "network of frames.",
+                                    .n_inputs = 1,
+                                    .inputs = of_strands,
+                                    .n_metadata = about->n,
+                                    .metadata = metadata };
+    hg_step_reset(ctx);
+    HG_TRY(hg_onnx_export_several(ctx, strand_path, strand_part, task, &first));
+    hg_step_reset(ctx);
+    hg_no_grad_begin(ctx);
+    const hg_tensor *part =
+        hg_hair_forward_strands(task, ctx, hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 1, strand }));
+    hg_no_grad_end(ctx);
+    HG_TRY(hg_ctx_status(ctx));
+    const hg_onnx_input of_frames[] = { { "part", part->shape[1], "strands" },
+                                        { "frame_features", frame, "frames" },
+                                        { "rest", rest, "strands" } };
+    const hg_onnx_options second = { .output = "displacement",
+                                     .graph = "frames",
+                                     .doc =
+                                         "Displacements of hair strands from the rigidly posed groom, of one or more "
+                                         "frames; trained without simulated data by hairgrad.",
+                                     .n_inputs = rest ? 3 : 2,
+                                     .inputs = of_frames,
+                                     .n_output_rows = 2,
+                                     .output_rows = (const char *const[]){ "frames", "strands" },
+                                     .n_metadata = about->n,
+                                     .metadata = metadata };
+    hg_step_reset(ctx);
+    HG_TRY(hg_onnx_export_several(ctx, frame_path, frame_part, task, &second));
+    hg_step_reset(ctx);
+    return HG_OK;
+}
+
+hg_status hg_export_hair_onnx_factored(hg_hair_task *task, hg_ctx *ctx, const char *path, char **strand_path,
+                                       char **frame_path)
+{
+    const char *extension = hg_path_extension(path);
+    const size_t stem = strlen(path) - (extension[0] ? strlen(extension) + 1 : 0);
+    *strand_path = hg_format("%.*s.strand.onnx", (int)stem, path);
+    *frame_path = hg_format("%.*s.frame.onnx", (int)stem, path);
+    description about = { 0 };
+    hg_status status = *strand_path && *frame_path ? describe_hair(task, &about) : HG_MEMORY;
+    if (status == HG_OK) {
+        status = export_parts(task, ctx, *strand_path, *frame_path, &about);
+        description_free(&about);
+    }
+    if (status == HG_OK) return HG_OK;
+    hg_free(*strand_path);
+    hg_free(*frame_path);
+    *strand_path = *frame_path = NULL;
+    return status;
+}
+
 /* ---- HDF5 ---------------------------------------------------------------------------------------------------- */
 
 /* "first.weight" becomes /model/first/weight. */

@@ -413,7 +413,9 @@ static hg_status emit_calls(builder *b, int first)
     return HG_OK;
 }
 
-static Onnx__ValueInfoProto *describe(builder *b, const char *name, const char *doc, const hg_tensor *tensor)
+/* `open`: names of the leading axes whose length is not fixed. */
+static Onnx__ValueInfoProto *describe(builder *b, const char *name, const hg_tensor *tensor, int n_open,
+                                      const char *const *open)
 {
     Onnx__ValueInfoProto *info = take(b, 1, sizeof *info);
     Onnx__TypeProto *type = take(b, 1, sizeof *type);
@@ -429,9 +431,9 @@ static Onnx__ValueInfoProto *describe(builder *b, const char *name, const char *
         dims[k] = take(b, 1, sizeof **dims);
         if (!dims[k]) return NULL;
         onnx__tensor_shape_proto__dimension__init(dims[k]);
-        if (k == 0) {
+        if (k < n_open) {
             dims[k]->value_case = ONNX__TENSOR_SHAPE_PROTO__DIMENSION__VALUE_DIM_PARAM;
-            dims[k]->dim_param = copy_text(b, "strands");
+            dims[k]->dim_param = copy_text(b, open[k]);
         } else {
             dims[k]->value_case = ONNX__TENSOR_SHAPE_PROTO__DIMENSION__VALUE_DIM_VALUE;
             dims[k]->dim_value = tensor->shape[k];
@@ -446,12 +448,11 @@ static Onnx__ValueInfoProto *describe(builder *b, const char *name, const char *
     type->tensor_type = of;
     info->name = copy_text(b, name);
     info->type = type;
-    info->doc_string = doc ? copy_text(b, doc) : NULL;
     return info;
 }
 
-static hg_status write_model(builder *b, const char *path, const hg_onnx_options *options, Onnx__ValueInfoProto *in,
-                             Onnx__ValueInfoProto *out)
+static hg_status write_model(builder *b, const char *path, const hg_onnx_options *options, int n_in,
+                             Onnx__ValueInfoProto **in, Onnx__ValueInfoProto *out)
 {
     Onnx__GraphProto graph = ONNX__GRAPH_PROTO__INIT;
     Onnx__ModelProto model = ONNX__MODEL_PROTO__INIT;
@@ -465,8 +466,9 @@ static hg_status write_model(builder *b, const char *path, const hg_onnx_options
     graph.node = b->nodes;
     graph.n_initializer = b->n_initialisers;
     graph.initializer = b->initialisers;
-    graph.n_input = graph.n_output = 1;
-    graph.input = &in;
+    graph.n_input = (size_t)n_in;
+    graph.n_output = 1;
+    graph.input = in;
     graph.output = &out;
     model.has_ir_version = true;
     model.ir_version = IR_VERSION;
@@ -501,17 +503,40 @@ static hg_status write_model(builder *b, const char *path, const hg_onnx_options
     return status;
 }
 
+/* The probe of an input, and what the file says of it. */
+typedef struct {
+    int n;
+    hg_onnx_input input[HG_ONNX_INPUTS];
+    hg_tensor *probe[HG_ONNX_INPUTS];
+} probes;
+
+/* How many rows a probe has: another number for every row axis, so that one is never taken for another. */
+static int64_t rows_of(const probes *p, int i)
+{
+    for (int k = 0; k < i; k++)
+        if (!strcmp(p->input[k].rows, p->input[i].rows)) return rows_of(p, k);
+    return PROBE_ROWS + 2 * i;
+}
+
 /* Names the output and writes the file, once every call has its nodes. */
-static hg_status finish(builder *b, const char *path, const hg_onnx_options *options, const hg_tensor *probe,
+static hg_status finish(builder *b, const char *path, const hg_onnx_options *options, const probes *in,
                         const hg_tensor *result)
 {
+    static const char *const strands = "strands";
+    const int n_open = options->n_output_rows ? options->n_output_rows : 1;
+    const char *const *open = options->n_output_rows ? options->output_rows : &strands;
     int last = input(b, result);
     HG_TRY(b->status);
     if (last < 0 || !b->values[last].from_input)
         return hg_fail(HG_INVALID, "%s: the output of the formula does not depend on its input by recorded ops", path);
-    if (result->rank < 1 || result->shape[0] != PROBE_ROWS)
-        return hg_fail(HG_INVALID, "%s: the formula gives %lld rows for %d", path,
-                       (long long)(result->rank < 1 ? 1 : result->shape[0]), PROBE_ROWS);
+    for (int k = 0; k < n_open; k++) {
+        int64_t rows = 0;
+        for (int i = 0; i < in->n; i++)
+            if (!strcmp(in->input[i].rows, open[k])) rows = rows_of(in, i);
+        if (result->rank <= k || result->shape[k] != rows)
+            return hg_fail(HG_INVALID, "%s: the formula gives %lld rows for %lld", path,
+                           (long long)(result->rank <= k ? 1 : result->shape[k]), (long long)rows);
+    }
     int named = node(b, "Identity", 1, &last, "");
     HG_TRY(b->status);
     const char *name = options->output ? options->output : "output";
@@ -521,47 +546,84 @@ static hg_status finish(builder *b, const char *path, const hg_onnx_options *opt
     b->nodes[b->n_nodes - 1]->output[0] = copy_text(b, name);
     HG_TRY(b->status);
     b->values[named].name = b->nodes[b->n_nodes - 1]->output[0];
-    Onnx__ValueInfoProto *in = describe(b, b->values[0].name, NULL, probe), *out = describe(b, name, NULL, result);
+    Onnx__ValueInfoProto *inputs[HG_ONNX_INPUTS];
+    for (int i = 0; i < in->n; i++)
+        inputs[i] = describe(b, b->values[i].name, in->probe[i], 1, (const char *const[]){ in->input[i].rows });
+    Onnx__ValueInfoProto *out = describe(b, name, result, n_open, open);
     HG_TRY(b->status);
-    return write_model(b, path, options, in, out);
+    return write_model(b, path, options, in->n, inputs, out);
 }
 
 /* Numbers of order one, none of them special. */
-static hg_status fill_probe(hg_tensor *probe)
+static hg_status fill_probe(hg_tensor *probe, uint64_t stream)
 {
     int64_t n = hg_tensor_count(probe);
     float *data = hg_alloc((size_t)n, sizeof *data);
     if (!data) return HG_MEMORY;
-    for (int64_t i = 0; i < n; i++) data[i] = (float)(2.0 * hg_random_uniform(7, 0, (uint64_t)i) - 1.0);
+    for (int64_t i = 0; i < n; i++) data[i] = (float)(2.0 * hg_random_uniform(7, stream, (uint64_t)i) - 1.0);
     hg_status status = hg_tensor_write(probe, data);
     hg_free(data);
     return status;
+}
+
+static hg_status make_probes(hg_ctx *ctx, const char *path, const hg_onnx_options *options, probes *p)
+{
+    p->n = options->n_inputs ? options->n_inputs : 1;
+    if (p->n > HG_ONNX_INPUTS) return hg_fail(HG_INVALID, "%s: %d inputs; at most %d", path, p->n, HG_ONNX_INPUTS);
+    for (int i = 0; i < p->n; i++) {
+        p->input[i] =
+            options->n_inputs ? options->inputs[i] : (hg_onnx_input){ options->input, options->columns, NULL };
+        if (!p->input[i].rows) p->input[i].rows = "strands";
+        if (p->input[i].columns < 1)
+            return hg_fail(HG_INVALID, "%s: the network has %lld inputs", path, (long long)p->input[i].columns);
+        p->probe[i] = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ rows_of(p, i), p->input[i].columns });
+        if (!p->probe[i]) return hg_ctx_status(ctx);
+        HG_TRY(fill_probe(p->probe[i], (uint64_t)i));
+    }
+    return HG_OK;
+}
+
+hg_status hg_onnx_export_several(hg_ctx *ctx, const char *path,
+                                 hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor **inputs), void *self,
+                                 const hg_onnx_options *options)
+{
+    probes in = { 0 };
+    HG_TRY(hg_ctx_status(ctx));
+    HG_TRY(make_probes(ctx, path, options, &in));
+    int first = hg_tape_count(ctx);
+    hg_tape_record_all(ctx, true);
+    hg_tensor *result = forward(self, ctx, in.probe);
+    hg_tape_record_all(ctx, false);
+    HG_TRY(hg_ctx_status(ctx));
+    if (!result) return hg_fail(HG_INVALID, "%s: the formula gave no tensor", path);
+
+    builder b = { .ctx = ctx };
+    hg_status status = HG_OK;
+    for (int i = 0; status == HG_OK && i < in.n; i++) {
+        int number = new_value(&b, in.input[i].name ? in.input[i].name : "input", false);
+        if (number >= 0) b.values[number].from_input = true;
+        status = number < 0 ? b.status : remember(&b, in.probe[i], number);
+    }
+    if (status == HG_OK) status = emit_calls(&b, first);
+    if (status == HG_OK) status = finish(&b, path, options, &in, result);
+    release(&b);
+    return status;
+}
+
+typedef struct {
+    hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input);
+    void *self;
+} one_input;
+
+static hg_tensor *forward_one(void *self, hg_ctx *ctx, hg_tensor **inputs)
+{
+    const one_input *one = self;
+    return one->forward(one->self, ctx, inputs[0]);
 }
 
 hg_status hg_onnx_export(hg_ctx *ctx, const char *path,
                          hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input), void *self,
                          const hg_onnx_options *options)
 {
-    if (options->columns < 1)
-        return hg_fail(HG_INVALID, "%s: the network has %lld inputs", path, (long long)options->columns);
-    HG_TRY(hg_ctx_status(ctx));
-    hg_tensor *probe = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ PROBE_ROWS, options->columns });
-    if (!probe) return hg_ctx_status(ctx);
-    HG_TRY(fill_probe(probe));
-
-    int first = hg_tape_count(ctx);
-    hg_tape_record_all(ctx, true);
-    hg_tensor *result = forward(self, ctx, probe);
-    hg_tape_record_all(ctx, false);
-    HG_TRY(hg_ctx_status(ctx));
-    if (!result) return hg_fail(HG_INVALID, "%s: the formula gave no tensor", path);
-
-    builder b = { .ctx = ctx };
-    int number = new_value(&b, options->input ? options->input : "input", false);
-    if (number >= 0) b.values[number].from_input = true;
-    hg_status status = number < 0 ? b.status : remember(&b, probe, number);
-    if (status == HG_OK) status = emit_calls(&b, first);
-    if (status == HG_OK) status = finish(&b, path, options, probe, result);
-    release(&b);
-    return status;
+    return hg_onnx_export_several(ctx, path, forward_one, &(one_input){ forward, self }, options);
 }

@@ -105,6 +105,7 @@ struct hg_hair_task {
     hg_ctx *ctx;
     hg_config *config;
     uint64_t config_hash, seed;
+    hg_dtype compute; /* of the network's products in a training step; validations are f32 */
     char *folder, *backend, *backend_note, *start_from; /* start_from: a checkpoint; NULL: none */
     bool opened;                         /* a finished run: nothing is trained or written */
 

@@ -95,6 +95,27 @@ hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tens
     return hg_reshape(ctx, d, 2, (int64_t[]){ -1, edges * 3 });
 }
 
+/* Columns first.. of (raw - mean) / deviation. */
+static hg_tensor *normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count)
+{
+    return hg_mul(ctx, hg_sub(ctx, raw, hg_slice(ctx, task->mean_tensor, 0, first, count)),
+                  hg_slice(ctx, task->inverse_deviation, 0, first, count));
+}
+
+hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    return task->model->strand_part(task->model->self, ctx, normalised(task, ctx, raw, 0, task->strand_inputs));
+}
+
+hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
+{
+    const int64_t edges = task->groom->vertices - 1;
+    hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
+    if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
+    return d ? hg_reshape(ctx, d, 3, (int64_t[]){ d->shape[0], d->shape[1], edges * 3 }) : NULL;
+}
+
 /* ---- loss --------------------------------------------------------------------------------------------------- */
 
 /* Of strand k of a batch's [B,S]. */
@@ -195,6 +216,7 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
 {
     hg_hair_task *task = self;
     const hg_hair_batch *batch = bytes;
+    if (task->compute != HG_F32 && hg_ctx_compute(ctx, task->compute) != HG_OK) return NULL;
     double unweighted[HG_HAIR_TERMS] = { 0 };
     hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
     const double per_strand = 1 / (double)(batch->frames * batch->strands);
@@ -219,6 +241,7 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
     const int64_t n = hg_config_integer(task->config, "training.validation_frames");
     double total = 0, terms[HG_HAIR_TERMS] = { 0 };
     hg_hair_batch *batch = hg_hair_batch_lay_out(task, task->validation_batch, 1, task->subset.n);
+    if (task->compute != HG_F32) HG_TRY(hg_ctx_compute(ctx, HG_F32));
     hg_no_grad_begin(ctx);
     hg_status status = HG_OK;
     for (int64_t k = 0; status == HG_OK && k < n; k++) {
@@ -375,6 +398,23 @@ static hg_status name_terms(hg_hair_task *task)
     return HG_OK;
 }
 
+/* bf16 where the config asks for it: an error where the processor has none, since its numbers are other ones. */
+static hg_status take_compute(hg_hair_task *task)
+{
+    task->compute = HG_F32;
+    if (task->opened || strcmp(hg_config_text(task->config, "training.compute"), "bf16")) return HG_OK;
+    task->compute = HG_BF16;
+    const hg_status status = hg_ctx_compute(task->ctx, HG_BF16);
+    if (status != HG_OK) {
+        char *why = hg_strdup(hg_message());
+        hg_fail(status, "%s:%d: training.compute: %s", hg_config_name(task->config),
+                hg_config_line(task->config, "training.compute"), why ? why : "not available");
+        hg_free(why);
+        return status;
+    }
+    return hg_ctx_compute(task->ctx, HG_F32);
+}
+
 static hg_train_options train_options(const hg_hair_task *task)
 {
     const hg_config *c = task->config;
@@ -406,6 +446,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
 {
     HG_TRY(take_config(task, config, folder));
     if (!task->opened) HG_TRY(find_start(task));
+    HG_TRY(take_compute(task));
     HG_TRY(hg_hair_terms_create(&task->terms, task->config));
     HG_TRY(name_terms(task));
     HG_TRY(hg_hair_world_create(task, progress));
@@ -427,7 +468,8 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .save = save,
                             .load = load,
                             .start = start };
-    task->backend = hg_strdup(hg_physics_backend_name(task->subset.physics)); /* outlives a subset drawn anew */
+    task->backend = hg_format("%s%s", hg_physics_backend_name(task->subset.physics),
+                              task->compute == HG_BF16 ? ", products in bf16" : ""); /* outlives a subset drawn anew */
     task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
     if (!task->backend || !task->backend_note) return HG_MEMORY;
     task->options = train_options(task);

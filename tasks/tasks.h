@@ -58,6 +58,12 @@ hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motio
 /* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. */
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
 
+/* The same in two parts: what belongs to the strands, raw [S,strand_inputs] without the rest columns -> [S,width]; and the
+ * rest: part, raw frame features [B,frame_inputs], and with directions the rest columns [S,(V-1)*3] (else NULL)
+ * -> [B,S,(V-1)*3]. */
+hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
+hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest);
+
 /* ---- drape -------------------------------------------------------------------------------------------------- */
 
 /* A whole motion, every strand of the groom (or every `stride`-th). Calls back once per frame, in order. */

@@ -21,4 +21,10 @@ END
 "$build/hairgrad" train "$folder/tiny.yaml" -o "$folder/run" 2> "$folder/log" || { cat "$folder/log"; exit 1; }
 "$build/hairgrad" export "$folder/run" --to onnx -o "$folder/hair.network" || exit 1
 "$build/hairgrad" export "$folder/run" --to h5 -o "$folder/hair.h5" || exit 1
+mkdir "$folder/parts" || exit 1
+"$build/hairgrad" export "$folder/run" --form factored -o "$folder/parts/vertices.onnx" || exit 1
+sed 's/width: 16 }/width: 16, output: directions, pinned: 2 }/' "$folder/tiny.yaml" > "$folder/turn.yaml"
+"$build/hairgrad" train "$folder/turn.yaml" -o "$folder/turn" 2> "$folder/log" || { cat "$folder/log"; exit 1; }
+"$build/hairgrad" export "$folder/turn" --to h5 -o "$folder/turn.h5" || exit 1
+"$build/hairgrad" export "$folder/turn" --form factored -o "$folder/parts/directions.onnx" || exit 1
 "$python" "$HG_SOURCE/tests/reference/check_exports.py" "$folder"

@@ -129,6 +129,30 @@ static hg_tensor *vectors(void *self, hg_ctx *ctx, hg_tensor *x)
     return hg_mul(ctx, hg_dot(ctx, q, hg_quat_conjugate(ctx, q)), hg_norm(ctx, hg_add(ctx, q, hg_square(ctx, q))));
 }
 
+/* Products of vectors and quaternions, strands placed, rows added up. */
+static hg_tensor *strands(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, NULL, SHAPE(2, 5, 3), -0.1, 0.1); /* rest */
+        numbers(s, ctx, NULL, SHAPE(3), -1, 1);
+        hg_tensor *index = hg_tensor_create(ctx, HG_I32, SHAPE(4));
+        for (int i = 0; i < 4; i++) ((int32_t *)index->data)[i] = i == 2 ? 0 : i % 3;
+        s->kept[s->n++] = index;
+    }
+    hg_tensor *q = hg_normalize(ctx, hg_reshape(ctx, hg_slice(ctx, x, 1, 0, 8), SHAPE(-1, 2, 4)));
+    hg_tensor *v = hg_reshape(ctx, hg_slice(ctx, x, 1, 4, 6), SHAPE(-1, 2, 3));
+    hg_tensor *w = hg_cross(ctx, hg_quat_rotate(ctx, hg_quat_mul(ctx, q, q), v), s->kept[1]);
+    hg_tensor *t = hg_transport(ctx, hg_normalize(ctx, v), hg_normalize(ctx, w));
+    hg_tensor *d =
+        hg_concat(ctx, 2, 2, (hg_tensor *[]){ t, hg_concat(ctx, 2, 2, (hg_tensor *[]){ q, t }) }); /* [n,2,12] */
+    hg_tensor *placed = hg_place(ctx, hg_reshape(ctx, d, SHAPE(-1, 2, 4, 3)), s->kept[0], t, v);   /* [n,2,5,3] */
+    hg_tensor *sums = hg_scatter_add(
+        ctx, hg_permute(ctx, hg_sum_axis(ctx, hg_reshape(ctx, x, SHAPE(-1, 4, 3)), 0, false), (int[]){ 0, 1 }),
+        s->kept[2], 5); /* [5,3] */
+    return hg_add(ctx, placed, sums);
+}
+
 /* Edges of a constant rest strand that turn. */
 static hg_tensor *edges(void *self, hg_ctx *ctx, hg_tensor *x)
 {
@@ -146,7 +170,8 @@ static const struct {
 } formulas[] = { { "network", network }, { "elementwise", elementwise },
                  { "layout", layout },   { "reductions", reductions },
                  { "pairs", pairs },     { "normalisations", normalisations },
-                 { "vectors", vectors }, { "edges", edges } };
+                 { "vectors", vectors }, { "edges", edges },
+                 { "strands", strands } };
 #define FORMULAS (int)(sizeof formulas / sizeof *formulas)
 
 static hg_ctx *context(void)
@@ -189,7 +214,7 @@ static void check_order(const Onnx__GraphProto *graph)
 {
     const char *known[256];
     size_t n = 0;
-    known[n++] = graph->input[0]->name;
+    for (size_t i = 0; i < graph->n_input; i++) known[n++] = graph->input[i]->name;
     for (size_t i = 0; i < graph->n_initializer; i++) known[n++] = graph->initializer[i]->name;
     for (size_t i = 0; i < graph->n_node; i++) {
         const Onnx__NodeProto *node = graph->node[i];
@@ -384,6 +409,39 @@ static const char *property(const Onnx__ModelProto *model, const char *key)
 }
 
 /* Untrained but for weights set here; both files say the same of it, and the sample rows are its answers. */
+/* In two parts: the same displacements as from the concatenated form, and files with the inputs they should have. */
+static void check_parts(hg_hair_task *task, hg_ctx *ctx, hg_tensor *x, const float *expected)
+{
+    const int64_t own = hg_hair_strand_inputs(task), rows = x->shape[0];
+    hg_tensor *part = hg_hair_forward_strands(task, ctx, hg_slice(ctx, x, 1, 0, own));
+    hg_tensor *frame = hg_slice(ctx, hg_slice(ctx, x, 0, 0, 1), 1, own, x->shape[1] - own);
+    const hg_tensor *y = hg_hair_forward_frames(task, ctx, part, frame, NULL);
+    assert_non_null(y);
+    assert_int_equal(y->rank, 3);
+    assert_int_equal(y->shape[0], 1);
+    assert_int_equal(y->shape[1], rows);
+    for (int64_t i = 0; i < hg_tensor_count(y); i++)
+        assert_true(fabs(hg_tensor_item(y, i) - (double)expected[i]) < 1e-7);
+
+    char *path = test_path("parts.onnx"), *strand_path, *frame_path;
+    OK(hg_export_hair_onnx_factored(task, ctx, path, &strand_path, &frame_path));
+    assert_non_null(strstr(strand_path, "/parts.strand.onnx"));
+    Onnx__ModelProto *strand = parse(strand_path), *frames = parse(frame_path);
+    check_order(strand->graph);
+    check_order(frames->graph);
+    assert_int_equal(strand->graph->input[0]->type->tensor_type->shape->dim[1]->dim_value, own);
+    assert_int_equal(frames->graph->n_input, 2);
+    const Onnx__TensorShapeProto *out = frames->graph->output[0]->type->tensor_type->shape;
+    assert_string_equal(out->dim[0]->dim_param, "frames");
+    assert_string_equal(out->dim[1]->dim_param, "strands");
+    assert_int_equal(out->dim[2]->dim_value, 27);
+    onnx__model_proto__free_unpacked(strand, NULL);
+    onnx__model_proto__free_unpacked(frames, NULL);
+    hg_free(path);
+    hg_free(strand_path);
+    hg_free(frame_path);
+}
+
 static void hair_network(void **state)
 {
     (void)state;
@@ -450,6 +508,7 @@ static void hair_network(void **state)
     OK(hg_h5_read(file, "sample/displacement", HG_F32, 2, (int64_t[]){ shape[0], 27 }, NULL, (void **)&answer));
     assert_memory_equal(answer, y->data, hg_tensor_bytes(y));
     assert_true(fabsf(answer[0]) > 0.0f);
+    check_parts(task, ctx, x, answer);
     hg_free(raw);
     hg_free(answer);
     hg_h5_close(file);

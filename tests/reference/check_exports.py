@@ -49,6 +49,28 @@ error = np.abs(session.run(None, {"features": x})[0] - expected).max()
 assert error < 1e-5, f"hair network: differs by {error:g} m"
 print(f"hair network: ONNX Runtime differs by at most {error:.2g} m of {np.abs(expected).max():.2g} m")
 
+for name, source in (("vertices", "hair.h5"), ("directions", "turn.h5")):
+    parts = []
+    for half in ("strand", "frame"):
+        path = os.path.join(folder, "parts", f"{name}.{half}.onnx")
+        onnx.checker.check_model(onnx.load(path), full_check=True)
+        parts.append(onnxruntime.InferenceSession(path, providers=["CPUExecutionProvider"]))
+    with h5py.File(os.path.join(folder, source)) as weights:
+        x, expected = weights["sample/features"][:], weights["sample/displacement"][:]
+    inputs = {i.name: i for i in parts[1].get_inputs()}
+    own, frame = parts[0].get_inputs()[0].shape[1], inputs["frame_features"].shape[1]
+    part = parts[0].run(None, {"strand_features": x[:, :own]})[0]
+    frames = np.stack([x[0, -frame:], 0.5 * x[0, -frame:], x[0, -frame:]])
+    feed = {"part": part, "frame_features": frames}
+    if "rest" in inputs:
+        feed["rest"] = x[:, own:-frame]
+    found = parts[1].run(None, feed)[0]
+    assert found.shape == (3,) + expected.shape, found.shape
+    assert np.array_equal(found[0], found[2]) and np.abs(found[0] - found[1]).max() > 1e-6
+    error = np.abs(found[0] - expected).max()
+    assert error < 1e-5, f"{name}, in two parts: differs by {error:g} m"
+    print(f"{name}, in two parts: ONNX Runtime differs by at most {error:.2g} m of {np.abs(expected).max():.2g} m")
+
 for name, cells in (("strands", 4), ("mesh", 2)):
     reader = vtk.vtkHDFReader()
     path = os.path.join(folder, name + ".vtkhdf")
