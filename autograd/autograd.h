@@ -116,16 +116,27 @@ void hg_tape_record_all(hg_ctx *ctx, bool on);                   /* record calls
 /* ---- gradcheck ---------------------------------------------------------------------------------------------- */
 
 typedef struct {
-    double tolerance;       /* relative, default 1e-6 */
-    double step;            /* largest step of the sweep, default 1e-3 */
-    int    directions;      /* 0: every element up to 2,000 elements, else 16 random directions */
-    bool   zero_gradient;   /* an all-zero gradient is expected */
+    double tolerance;            /* relative, default 1e-6 */
+    double step;                 /* largest step of the sweep, in units of the input, default 1e-3 */
+    int    directions;           /* 0: every element up to 2,000 elements, else 16 random directions */
+    bool   zero_gradient;        /* an all-zero gradient is expected */
+    const double *units;         /* [n_in] what a change of 1 means to an input: a step is step * max(unit, |value|); NULL: 1 */
+    const char *const *names;    /* [n_in] of the inputs, for messages; NULL: their numbers */
 } hg_gradcheck_options;
-typedef struct { double worst; int input; int64_t element; double analytic, numeric, step; char text[256]; } hg_gradcheck_result;
+
+#define HG_GRADCHECK_STEPS 5
+typedef struct {
+    double worst; int input; int64_t element;                    /* element -1: a random direction */
+    double analytic, numeric, step; char text[256];              /* step: the best one of the sweep */
+    int steps; struct { double step, numeric, error; } sweep[HG_GRADCHECK_STEPS];   /* of the worst element */
+    int64_t checked, kinks;                                      /* elements compared; left out, since a kink lies within their steps */
+} hg_gradcheck_result;
 
 /* f: builds a one-element f64 tensor from inputs (f64 step tensors or leaves). Checked are the inputs that need a
  * gradient; where none does, all f64 inputs are made to. Derivatives are differences of four values over steps from
  * `step` down by tens, the best one counts; signs count; a gradient that is zero everywhere is refused unless declared.
+ * Where they disagree, but the gradient is the derivative to one side and not to the other, f has a kink there: such an
+ * element is counted and left out. When nothing but kinks is left, that is an error.
  * HG_NUMERIC when it is wrong: the message and result->text say which element. */
 hg_status hg_gradcheck(hg_ctx *ctx, hg_tensor *(*f)(void *self, hg_ctx *ctx, hg_tensor **in), void *self,
                        int n_in, hg_tensor *const *in, const hg_gradcheck_options *options, hg_gradcheck_result *result);

@@ -6,7 +6,7 @@
 #include <stdio.h>
 #include <string.h>
 
-enum { STEPS = 5, MAX_ELEMENTS = 2000, DIRECTIONS = 16 };
+enum { STEPS = HG_GRADCHECK_STEPS, MAX_ELEMENTS = 2000, DIRECTIONS = 16 };
 
 typedef hg_tensor *formula(void *self, hg_ctx *ctx, hg_tensor **in);
 
@@ -19,7 +19,9 @@ typedef struct {
     double *value[HG_OP_INPUTS], *gradient[HG_OP_INPUTS], *direction[HG_OP_INPUTS]; /* of the checked inputs */
     const hg_call *call; /* of an op: for its kinks; may be NULL */
     const bool *empty;   /* of an op: its output is, so that gradients are zero; may be NULL */
-    double tolerance, step, center, norm, largest;
+    double tolerance, step, center, norm, largest[HG_OP_INPUTS];
+    const double *units;      /* of the inputs, may be NULL */
+    const char *const *names; /* may be NULL */
     hg_gradcheck_result *result;
 } check;
 
@@ -54,10 +56,68 @@ static hg_status evaluate_at(const check *c, int input, int64_t element, double 
     return status;
 }
 
-/* One derivative against the sweep; keeps the worst in the result. `floor` is what counts as small. */
+/* Four values on one side of the point: the derivative there, without looking across a kink. */
+static hg_status one_sided(const check *c, int input, int64_t element, double h, double *numeric)
+{
+    double y[5] = { c->center };
+    for (int j = 1; j < 5; j++) HG_TRY(evaluate_at(c, input, element, j * h, &y[j]));
+    *numeric = (-25 * y[0] + 48 * y[1] - 36 * y[2] + 16 * y[3] - 3 * y[4]) / (12 * h);
+    return HG_OK;
+}
+
+/* Is there a kink within the steps? The gradient is then the derivative to one side, and clearly not to the other. A wrong
+ * gradient of a smooth function is neither. */
+static hg_status find_kink(const check *c, int input, int64_t element, double analytic, double scale, double small,
+                           bool *kink)
+{
+    const double close = fmax(1e2 * c->tolerance, 1e-5);
+    *kink = false;
+    double h = c->step * scale;
+    for (int k = 0; k < STEPS && !*kink; k++, h /= 10) {
+        double side[2];
+        HG_TRY(one_sided(c, input, element, h, &side[0]));
+        HG_TRY(one_sided(c, input, element, -h, &side[1]));
+        const double noise = 64 * 2.3e-16 * fabs(c->center) / h,
+                     floor = fmax(fmax(fmax(small, fabs(analytic)), noise / c->tolerance), 1e-300);
+        const double off[2] = { fabs(side[0] - analytic) / floor, fabs(side[1] - analytic) / floor };
+        *kink = fmin(off[0], off[1]) < close && fmax(off[0], off[1]) > 100 * close;
+    }
+    return HG_OK;
+}
+
+/* "name[1,2,0]" */
+static void name_element(const check *c, int input, int64_t element, char *text, size_t room)
+{
+    int length = c->names ? snprintf(text, room, "%s", c->names[input]) : snprintf(text, room, "input %d", input);
+    const hg_tensor *tensor = c->in[input];
+    int64_t below = hg_tensor_count(tensor);
+    for (int axis = 0; axis < tensor->rank && length < (int)room; axis++) {
+        below /= tensor->shape[axis];
+        length += snprintf(text + length, room - (size_t)length, "%s%lld%s", axis ? "," : "[",
+                           (long long)(element / below % tensor->shape[axis]), axis == tensor->rank - 1 ? "]" : "");
+    }
+}
+
+static void keep_worst(const check *c, const hg_gradcheck_result *found)
+{
+    hg_gradcheck_result *r = c->result;
+    const int64_t checked = r->checked, kinks = r->kinks;
+    if (!(found->worst > r->worst || (r->text[0] == 0 && found->worst >= r->worst))) return;
+    char name[128] = "random direction";
+    *r = *found;
+    r->checked = checked;
+    r->kinks = kinks;
+    if (r->element >= 0) name_element(c, r->input, r->element, name, sizeof name);
+    snprintf(r->text, sizeof r->text, "%s: analytic %.12g, numeric %.12g (step %g), relative error %.3g", name,
+             r->analytic, r->numeric, r->step, r->worst);
+}
+
+/* One derivative against the sweep; keeps the worst in the result. `small` is what counts as small. */
 static hg_status compare(const check *c, int input, int64_t element, double analytic, double scale, double small)
 {
-    double best = (double)INFINITY, best_numeric = (double)NAN, best_step = 0;
+    hg_gradcheck_result found = {
+        .worst = (double)INFINITY, .input = input, .element = element, .analytic = analytic, .numeric = (double)NAN
+    };
     double h = c->step * scale;
     for (int k = 0; k < STEPS; k++, h /= 10) {
         double y[4];
@@ -68,24 +128,28 @@ static hg_status compare(const check *c, int input, int64_t element, double anal
         double noise = 4 * 2.3e-16 * fabs(c->center) / h / c->tolerance;
         double floor = fmax(fmax(small, noise), 1e-300);
         double error = fabs(analytic - numeric) / fmax(fmax(fabs(analytic), fabs(numeric)), floor);
-        if (!(error >= best)) {
-            if (isnan(error)) error = (double)INFINITY;
-            if (error < best || isnan(best_numeric)) best = error, best_numeric = numeric, best_step = h;
+        if (isnan(error)) error = (double)INFINITY;
+        if (error < found.worst || isnan(found.numeric)) {
+            found.worst = error;
+            found.numeric = numeric;
+            found.step = h;
         }
-        if (best < 1e-2 * c->tolerance) break;
+        found.sweep[k].step = h;
+        found.sweep[k].numeric = numeric;
+        found.sweep[k].error = error;
+        found.steps = k + 1;
+        if (found.worst < 1e-2 * c->tolerance) break;
     }
-    hg_gradcheck_result *r = c->result;
-    if (best > r->worst || (r->text[0] == 0 && best >= r->worst)) {
-        *r = (hg_gradcheck_result){ best, input, element, analytic, best_numeric, best_step, "" };
-        if (element >= 0)
-            snprintf(r->text, sizeof r->text,
-                     "input %d, element %lld: analytic %.12g, numeric %.12g (step %g), relative error %.3g", input,
-                     (long long)element, analytic, best_numeric, best_step, best);
-        else
-            snprintf(r->text, sizeof r->text,
-                     "random direction: analytic %.12g, numeric %.12g (step %g), relative error %.3g", analytic,
-                     best_numeric, best_step, best);
+    if (found.worst > c->tolerance && isfinite(analytic)) {
+        bool kink;
+        HG_TRY(find_kink(c, input, element, analytic, scale, small, &kink));
+        if (kink) {
+            c->result->kinks++;
+            return HG_OK;
+        }
     }
+    c->result->checked++;
+    keep_worst(c, &found);
     return HG_OK;
 }
 
@@ -97,12 +161,18 @@ static bool at_kink(const check *c, int input, int64_t element)
 static hg_status check_elements(const check *c)
 {
     for (int i = 0; i < c->n_in; i++)
-        for (int64_t e = 0; c->value[i] && e < hg_tensor_count(c->in[i]); e++)
-            if (!at_kink(c, i, e))
-                HG_TRY(compare(c, i, e, c->gradient[i][e], fmax(1, fabs(c->value[i][e])), 1e-4 * c->largest));
+        for (int64_t e = 0; c->value[i] && e < hg_tensor_count(c->in[i]); e++) {
+            if (at_kink(c, i, e)) {
+                c->result->kinks++;
+                continue;
+            }
+            HG_TRY(compare(c, i, e, c->gradient[i][e], fmax(c->units ? c->units[i] : 1, fabs(c->value[i][e])),
+                           1e-4 * c->largest[i]));
+        }
     return HG_OK;
 }
 
+/* A direction moves every input by its own unit. */
 static hg_status check_directions(check *c, int directions)
 {
     for (int d = 0; d < directions; d++) {
@@ -116,7 +186,7 @@ static hg_status check_directions(check *c, int directions)
         if (length == 0) continue;
         for (int i = 0; i < c->n_in; i++)
             for (int64_t e = 0; c->value[i] && e < hg_tensor_count(c->in[i]); e++) {
-                c->direction[i][e] /= sqrt(length);
+                c->direction[i][e] *= (c->units ? c->units[i] : 1) / sqrt(length);
                 analytic += c->direction[i][e] * c->gradient[i][e];
             }
         HG_TRY(compare(c, 0, -1, analytic, 1, 1e-4 * c->norm));
@@ -158,6 +228,23 @@ static hg_status take_gradients(check *c)
     return HG_OK;
 }
 
+/* element -1: the gradient of the whole input is zero. */
+static hg_status zero_or_not_finite(const check *c, int input, int64_t element)
+{
+    char name[128];
+    if (element < 0) {
+        if (c->names)
+            return hg_fail(HG_NUMERIC, "gradcheck: the gradient of %s is zero everywhere; say so if that is meant",
+                           c->names[input]);
+        return hg_fail(HG_NUMERIC, "gradcheck: the gradient of input %d is zero everywhere; say so if that is meant",
+                       input);
+    }
+    name_element(c, input, element, name, sizeof name);
+    c->result->input = input;
+    c->result->element = element;
+    return hg_fail(HG_NUMERIC, "gradcheck: the gradient of %s is not finite", name);
+}
+
 /* A gradient that is zero everywhere is nearly always a forgotten one. */
 static hg_status refuse_zeros(check *c, bool declared)
 {
@@ -167,16 +254,12 @@ static hg_status refuse_zeros(check *c, bool declared)
         double largest = 0;
         for (int64_t e = 0; e < n; e++) {
             double g = fabs(c->gradient[i][e]);
-            if (!(g <= 1e300))
-                return hg_fail(HG_NUMERIC, "gradcheck: the gradient of input %d, element %lld is not finite", i,
-                               (long long)e);
+            if (!(g <= 1e300)) return zero_or_not_finite(c, i, e);
             largest = fmax(largest, g);
-            c->norm += g * g;
+            c->norm += g * g * (c->units ? c->units[i] * c->units[i] : 1);
         }
-        c->largest = fmax(c->largest, largest);
-        if (n > 0 && largest == 0 && !declared)
-            return hg_fail(HG_NUMERIC,
-                           "gradcheck: the gradient of input %d is zero everywhere; say so if that is meant", i);
+        c->largest[i] = largest;
+        if (n > 0 && largest == 0 && !declared) return zero_or_not_finite(c, i, -1);
     }
     c->norm = sqrt(c->norm);
     return HG_OK;
@@ -187,6 +270,8 @@ static hg_status run_check(check *c, const hg_gradcheck_options *options)
     hg_gradcheck_options given = options ? *options : (hg_gradcheck_options){ 0 };
     c->tolerance = given.tolerance > 0 ? given.tolerance : 1e-6;
     c->step = given.step > 0 ? given.step : 1e-3;
+    c->units = given.units;
+    c->names = given.names;
     *c->result = (hg_gradcheck_result){ 0 };
     hg_status status = take_gradients(c);
     if (status == HG_OK) status = refuse_zeros(c, given.zero_gradient || (c->empty && *c->empty));
@@ -200,6 +285,9 @@ static hg_status run_check(check *c, const hg_gradcheck_options *options)
         hg_free(c->gradient[i]);
         hg_free(c->direction[i]);
     }
+    if (status == HG_OK && c->result->checked == 0 && c->result->kinks > 0 && !c->call)
+        status = hg_fail(HG_NUMERIC, "gradcheck: every one of the %lld derivatives is at a kink: nothing was checked",
+                         (long long)c->result->kinks);
     if (status == HG_OK && c->result->worst > c->tolerance)
         status = hg_fail(HG_NUMERIC, "gradcheck: %s, more than %g", c->result->text, c->tolerance);
     return status;

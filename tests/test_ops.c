@@ -271,6 +271,45 @@ static hg_tensor *cubic(void *self, hg_ctx *ctx, hg_tensor **in)
     return hg_sum(ctx, hg_mul(ctx, hg_square(ctx, in[0]), in[0]));
 }
 
+static hg_tensor *bent(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    (void)self;
+    return hg_sum(ctx, hg_activate(ctx, in[0], HG_LEAKY_RELU));
+}
+
+/* The derivative to the right is half of what it should be: a wrong gradient, not a kink. */
+static hg_tensor *bent_and_wrong(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_add(ctx, bent(self, ctx, in), half_missing(self, ctx, in));
+}
+
+static void test_gradcheck_kinks(void **state)
+{
+    (void)state;
+    static const char *const names[] = { "slope" };
+    const double units[] = { 1e-3 };
+    const hg_gradcheck_options options = { .names = names, .units = units };
+    hg_ctx *ctx;
+    hg_gradcheck_result r;
+    assert_int_equal(hg_ctx_create(&ctx, NULL), HG_OK);
+    hg_tensor *x = hg_tensor_make(ctx, HG_F64, 2, (int64_t[]){ 2, 2 });
+    memcpy(x->data, (double[]){ 0.5, 0, -2, 0 }, 4 * sizeof(double));
+    assert_int_equal(hg_gradcheck(ctx, bent, NULL, 1, &x, &options, &r), HG_OK);
+    assert_int_equal(r.kinks, 2);
+    assert_int_equal(r.checked, 2);
+    assert_true(r.steps > 0 && r.sweep[0].step == 1e-3 * 2 && r.sweep[0].error == r.worst);
+    /* A kink excuses nothing that is wrong on both sides, and the worst element has its place in the message. */
+    memcpy(x->data, (double[]){ 0.5, 0, -2, 0.25 }, 4 * sizeof(double));
+    assert_int_equal(hg_gradcheck(ctx, bent_and_wrong, NULL, 1, &x, &options, &r), HG_NUMERIC);
+    assert_int_equal(r.element, 2);
+    if (!strstr(hg_message(), "slope[1,0]")) fail_msg("%s", hg_message());
+    /* Nothing but kinks is nothing checked. */
+    memset(x->data, 0, 4 * sizeof(double));
+    assert_int_equal(hg_gradcheck(ctx, bent, NULL, 1, &x, &options, &r), HG_NUMERIC);
+    assert_non_null(strstr(hg_message(), "kink"));
+    hg_ctx_destroy(ctx);
+}
+
 static void test_gradcheck_sees(void **state)
 {
     (void)state;
@@ -301,6 +340,7 @@ int main(void)
         cmocka_unit_test(test_every_op),
         cmocka_unit_test(test_incomplete_ops_fail),
         cmocka_unit_test(test_gradcheck_sees),
+        cmocka_unit_test(test_gradcheck_kinks),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
