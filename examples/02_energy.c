@@ -18,8 +18,7 @@ static scalar tip_height(void)
     return mul(0.5, param("stiffness"), square(max(rise, 0)));
 }
 
-HG_ENERGY(tip_height, .equation = "k/2 max(y - y_root - c, 0)^2 per vertex", .source = "example 02",
-          .site = window(1),
+HG_ENERGY(tip_height, .equation = "k/2 max(y - y_root - c, 0)^2 per vertex", .source = "example 02", .site = window(1),
           .params = { { "stiffness", 2, "N/m", "of the spring that pulls down" },
                       { "clearance", 0.001, "m", "height above the root that costs nothing" } });
 

@@ -16,9 +16,9 @@ static const double stiffness = 2.0; /* N/m */
 /* sum k/2 (|x_{i+1} - x_i| - l0)^2 */
 static hg_tensor *stretch_of_ops(hg_ctx *ctx, hg_tensor *x, hg_tensor *rest)
 {
-    hg_tensor *edge = hg_sub(ctx, hg_slice(ctx, x, 2, 1, V - 1), hg_slice(ctx, x, 2, 0, V - 1));          /* [B,S,V-1,3] */
-    hg_tensor *edge0 = hg_sub(ctx, hg_slice(ctx, rest, 1, 1, V - 1), hg_slice(ctx, rest, 1, 0, V - 1));   /* [S,V-1,3] */
-    hg_tensor *strain = hg_sub(ctx, hg_norm(ctx, edge), hg_norm(ctx, edge0));                             /* broadcast over B */
+    hg_tensor *edge = hg_sub(ctx, hg_slice(ctx, x, 2, 1, V - 1), hg_slice(ctx, x, 2, 0, V - 1)); /* [B,S,V-1,3] */
+    hg_tensor *edge0 = hg_sub(ctx, hg_slice(ctx, rest, 1, 1, V - 1), hg_slice(ctx, rest, 1, 0, V - 1)); /* [S,V-1,3] */
+    hg_tensor *strain = hg_sub(ctx, hg_norm(ctx, edge), hg_norm(ctx, edge0)); /* broadcast over B */
     return hg_scale(ctx, hg_sum(ctx, hg_square(ctx, strain)), 0.5 * stiffness, 0);
 }
 

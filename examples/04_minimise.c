@@ -50,7 +50,7 @@ int main(void)
         float *force = hg_grad(x)->data;
         for (int c = 0; c < 3; c++) force[c] = 0; /* the root is held */
         if (step % 1000 == 0)
-            printf("step %4d   energy %10.4e J   tip (%.4f, %.4f) m\n", step, hg_tensor_item(energy, 0),
+            printf("step %4d   energy %8.4f uJ   tip (%.4f, %.4f) m\n", step, 1e6 * hg_tensor_item(energy, 0),
                    hg_tensor_item(x, 3 * V - 3), hg_tensor_item(x, 3 * V - 2));
         /* The learning rate is a length here: it comes down from half a millimetre to a micrometre. */
         const double rate = 5e-4 * pow(2e-3, (double)step / steps);
@@ -63,8 +63,8 @@ int main(void)
         for (int c = 0; c < 3; c++) square += pow(hg_tensor_item(x, v + c) - hg_tensor_item(x, v - 3 + c), 2);
         length += sqrt(square);
     }
-    printf("stretch %.3e  bend_twist %.3e  gravity %.3e J; it is %.2f %% longer than at rest\n", unweighted[0],
-           unweighted[1], unweighted[2], 100 * (length / (edge * (V - 1)) - 1));
+    printf("stretch %.4f  bend_twist %.4f  gravity %.4f uJ; it is %.2f %% longer than at rest\n", 1e6 * unweighted[0],
+           1e6 * unweighted[1], 1e6 * unweighted[2], 100 * (length / (edge * (V - 1)) - 1));
 
     hg_adam_destroy(adam);
     hg_tensor_destroy(x);

@@ -29,7 +29,8 @@ static void draw_frames(hg_tensor *input, hg_tensor *rotation, int step)
 {
     float *in = input->data, *q = rotation->data;
     for (int b = 0; b < B; b++) {
-        const double angle = step < 0 ? (b + 0.5) / B * half_pi : hg_random_uniform(3, (uint64_t)step, (uint64_t)b) * half_pi;
+        const double angle =
+            step < 0 ? (b + 0.5) / B * half_pi : hg_random_uniform(3, (uint64_t)step, (uint64_t)b) * half_pi;
         in[2 * b] = (float)cos(angle);
         in[2 * b + 1] = (float)sin(angle);
         q[4 * b] = (float)cos(angle / 2);
@@ -85,17 +86,19 @@ int main(void)
                   *position = hg_tensor_make(ctx, HG_F32, 3, (int64_t[]){ B, 1, 3 });
         for (int i = 0; i < V * 3; i++) ((float *)rest->data)[i] = (float)at_rest[i];
         hg_tensor_fill(position, 0);
-        draw_frames(input, rotation, step % 100 == 0 ? -1 : step); /* every hundredth: angles spread evenly, to be shown */
+        draw_frames(input, rotation,
+                    step % 100 == 0 ? -1 : step); /* every hundredth: angles spread evenly, to be shown */
         const hg_frame frame = { .root_rotation = rotation, .root_position = position, .dt = 1.0 / 30.0 };
         hg_tensor *x = strands(&net, ctx, input, rest, rotation, position);
         hg_tensor *loss = hg_scale(ctx, hg_physics_energy(physics, ctx, &frame, x, NULL), 1 / unit, 0);
         if (hg_backward(ctx, loss) != HG_OK) return failed();
         const int64_t tip = 3 * V - 2; /* y of the last vertex of frame 0, where the head is nearly upright */
         if (step % 200 == 0)
-            printf("step %3d   loss %7.4f   tip of frame 0 %7.4f m, of frame %d %7.4f m\n", step, hg_tensor_item(loss, 0),
-                   hg_tensor_item(x, tip), B - 1, hg_tensor_item(x, (B - 1) * 3 * V + tip));
+            printf("step %3d   loss %7.4f   tip of frame 0 %7.4f m, of frame %d %7.4f m\n", step,
+                   hg_tensor_item(loss, 0), hg_tensor_item(x, tip), B - 1, hg_tensor_item(x, (B - 1) * 3 * V + tip));
         double norm;
-        if (hg_adam_step(adam, 1e-2 * (1 - 0.95 * step / steps), 0.9, 0.999, 1e-8, 0, 1, &norm) != HG_OK) return failed();
+        if (hg_adam_step(adam, 1e-2 * (1 - 0.95 * step / steps), 0.9, 0.999, 1e-8, 0, 1, &norm) != HG_OK)
+            return failed();
     }
     for (int i = 0; i < 3; i++) hg_linear_layer_destroy(&net.layers[i]);
     hg_adam_destroy(adam);
