@@ -49,7 +49,7 @@ hg_status  hg_trap_replay(hg_ctx *ctx, const char *path, hg_text *report);
 
 /* ---- op table ----------------------------------------------------------------------------------------------- */
 
-#define HG_OP_INPUTS 8
+#define HG_OP_INPUTS 16
 typedef struct hg_op hg_op;
 typedef struct hg_call {                                         /* one recorded op call; lives in the step arena */
     hg_ctx *ctx;
@@ -170,7 +170,7 @@ hg_tensor *hg_sum_axis(hg_ctx *ctx, hg_tensor *a, int axis, bool keep);
 hg_tensor *hg_mean_axis(hg_ctx *ctx, hg_tensor *a, int axis, bool keep);
 hg_tensor *hg_reshape(hg_ctx *ctx, hg_tensor *a, int rank, const int64_t *shape); /* one -1 allowed; shares data */
 hg_tensor *hg_permute(hg_ctx *ctx, hg_tensor *a, const int *axes);
-hg_tensor *hg_concat(hg_ctx *ctx, int axis, int n, hg_tensor *const *parts);      /* up to 8 */
+hg_tensor *hg_concat(hg_ctx *ctx, int axis, int n, hg_tensor *const *parts);      /* up to 16 */
 hg_tensor *hg_slice(hg_ctx *ctx, hg_tensor *a, int axis, int64_t first, int64_t count);
 hg_tensor *hg_pad(hg_ctx *ctx, hg_tensor *a, int axis, int64_t before, int64_t after); /* zeros */
 hg_tensor *hg_gather(hg_ctx *ctx, hg_tensor *a, hg_tensor *index);                /* rows of axis 0 by i32 [n]; adjoint = segment sum, deterministic */

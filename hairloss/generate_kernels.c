@@ -39,7 +39,7 @@ static hg_status print_sum(hg_dtype dtype, int number, hg_text *text, uint64_t *
     }
     hg_text_add(text, " */\n");
     hg_strand_program *program;
-    HG_TRY(hg_strand_program_create(&program, dtype, n, terms, true));
+    HG_TRY(hg_strand_program_create(&program, dtype, n, terms, 0, NULL, true));
     char name[32];
     snprintf(name, sizeof name, "sum_%d", number);
     hg_strand_print_c(program, name, text);

@@ -1,9 +1,9 @@
 /* Physics: a weighted set of energies over one or more grooms. Window energies are one strand pass, contact is found
  * before it, pairs and fields have passes of their own after it. On the tape it is one op: value and gradient are made
  * together, and backward only scales what was made. */
-#include "hairloss/physics.h"
+#include "hairloss/physics_inputs.h"
 
-#include "autograd/trace/graph.h"
+#include "autograd/tape.h"
 #include "geometry/vector.h"
 
 #include <math.h>
@@ -15,6 +15,15 @@ typedef struct {
     int term;
 } other_pass;
 
+/* Strand passes for what calls have brought and wanted: [0] nothing; the others are made when first met, and the one that
+ * was not used for longest makes room. */
+enum { VARIANTS = 8 };
+typedef struct {
+    hg_strand_variant variant;
+    hg_strand_pass *pass;
+    int64_t used;
+} strand_variant;
+
 struct hg_physics {
     hg_ctx *ctx;
     hg_dtype dtype;
@@ -25,12 +34,13 @@ struct hg_physics {
     hg_groom_data data; /* own copies */
     hg_groom_attribute *attributes;
 
-    hg_strand_pass *strands[2]; /* posed made in the kernel; posed given by the frame (made when first met) */
-    hg_term *window_terms;      /* by name, so that the order in a config does not matter */
+    hg_physics_asks asks;
+    strand_variant strands[VARIANTS];
+    int64_t calls;
+    hg_term *window_terms; /* by name, so that the order in a config does not matter */
     int32_t *window_column;
     char *window_names; /* "stretch + bend_twist", for a profile */
     int n_window;
-    bool wants_posed;
     hg_backend backend;
 
     other_pass *others;
@@ -99,36 +109,12 @@ static hg_status copy_data(hg_physics *p, const hg_groom_data *data)
     return status;
 }
 
-/* Does a formula of the term ask for the attribute? */
-static hg_status asks_for(const hg_term *term, const char *attribute, bool *asks)
-{
-    const hg_site_kind site = term->energy->site.kind;
-    hg_scalar (*const formulas[2])(void) = { term->energy->trace, term->energy->root };
-    for (int f = 0; f < 2; f++) {
-        hg_trace_scope scope;
-        uint32_t kinds;
-        int n = 0;
-        char *attributes[8];
-        if (!formulas[f]) continue;
-        hg_term_scope(&scope, term, 0,
-                      site == HG_SITE_WINDOW  ? HG_ALLOW_WINDOW
-                      : site == HG_SITE_PAIRS ? HG_ALLOW_PAIRS
-                                              : HG_ALLOW_FIELD);
-        HG_TRY(hg_formula_inputs(formulas[f], &scope, &kinds, &n, attributes));
-        for (int i = 0; i < n; i++) {
-            *asks |= strcmp(attributes[i], attribute) == 0;
-            hg_free(attributes[i]);
-        }
-    }
-    return HG_OK;
-}
-
 /* The attribute "strand_length" where an energy asks for it and the groom does not have it: the sum of the rest edges. */
 static hg_status make_strand_length(hg_physics *p)
 {
     const int64_t V = p->data.vertices, strands = p->data.grooms * p->data.strands;
     bool asked = false;
-    for (int t = 0; t < p->n; t++) HG_TRY(asks_for(&p->terms[t], "strand_length", &asked));
+    for (int i = 0; i < p->asks.n_attributes; i++) asked |= strcmp(p->asks.attributes[i].name, "strand_length") == 0;
     if (!asked || hg_groom_attribute_find(&p->data, "strand_length")) return HG_OK;
     double *values = hg_alloc((size_t)(strands * V) + 1, sizeof *values);
     hg_groom_attribute *made = &p->attributes[p->data.n_attributes]; /* copy_data left room for one */
@@ -211,21 +197,6 @@ static hg_status make_others(hg_physics *p)
     return HG_OK;
 }
 
-static hg_status asks_for_posed(hg_physics *p)
-{
-    for (int t = 0; t < p->n_window; t++) {
-        hg_trace_scope scope;
-        uint32_t kinds;
-        int n_attributes;
-        char *attributes[8];
-        hg_term_scope(&scope, &p->window_terms[t], t, HG_ALLOW_WINDOW);
-        HG_TRY(hg_formula_inputs(p->window_terms[t].energy->trace, &scope, &kinds, &n_attributes, attributes));
-        for (int i = 0; i < n_attributes; i++) hg_free(attributes[i]);
-        p->wants_posed |= (kinds & HG_ALLOW(HG_INPUT_POSED)) != 0;
-    }
-    return HG_OK;
-}
-
 hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
                             const hg_groom_data *data)
 {
@@ -245,15 +216,15 @@ hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, c
     p->contact = -1;
     p->backend = HG_BACKEND_AUTO;
     hg_status status = copy_terms(p, terms);
+    if (status == HG_OK) status = hg_physics_asked(&p->asks, p->terms, n);
     if (status == HG_OK) status = copy_data(p, data);
     if (status == HG_OK) status = make_strand_length(p);
     if (status == HG_OK && p->contact >= 0 && !data->body)
         status = hg_fail(HG_INVALID, "energy '%s' needs a body, and the groom data has none",
                          p->terms[p->contact].energy->name);
-    if (status == HG_OK) status = asks_for_posed(p);
     if (status == HG_OK && p->n_window)
-        status = hg_strand_pass_create(&p->strands[0], ctx, dtype, p->n_window, p->window_terms, p->window_column,
-                                       &p->data, false, true);
+        status = hg_strand_pass_create(&p->strands[0].pass, ctx, dtype, p->n_window, p->window_terms, p->window_column,
+                                       &p->data, NULL, true);
     if (status == HG_OK) status = make_others(p);
     if (status != HG_OK) {
         hg_physics_destroy(p);
@@ -266,7 +237,8 @@ hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, c
 void hg_physics_destroy(hg_physics *physics)
 {
     if (!physics) return;
-    for (int i = 0; i < 2; i++) hg_strand_pass_destroy(physics->strands[i]);
+    for (int i = 0; i < VARIANTS; i++) hg_strand_pass_destroy(physics->strands[i].pass);
+    hg_physics_asks_free(&physics->asks);
     for (int i = 0; i < physics->n_others; i++) physics->others[i].kind->destroy(physics->others[i].self);
     for (int64_t b = 0; b < physics->frames; b++) hg_body_refit_destroy(physics->refits[b]);
     for (int i = 0; i < physics->data.n_attributes; i++) {
@@ -291,20 +263,21 @@ void hg_physics_destroy(hg_physics *physics)
 
 hg_status hg_physics_backend(hg_physics *physics, hg_backend backend)
 {
-    for (int i = 0; i < 2; i++)
-        if (physics->strands[i]) HG_TRY(hg_strand_pass_backend(physics->strands[i], physics->ctx, backend, NULL));
+    for (int i = 0; i < VARIANTS; i++)
+        if (physics->strands[i].pass)
+            HG_TRY(hg_strand_pass_backend(physics->strands[i].pass, physics->ctx, backend, NULL));
     physics->backend = backend;
     return HG_OK;
 }
 
 const char *hg_physics_backend_name(const hg_physics *physics)
 {
-    return physics->strands[0] ? hg_strand_pass_backend_name(physics->strands[0]) : "interpreter";
+    return physics->strands[0].pass ? hg_strand_pass_backend_name(physics->strands[0].pass) : "interpreter";
 }
 
 const char *hg_physics_backend_note(const hg_physics *physics)
 {
-    return physics->strands[0] ? hg_strand_pass_backend_note(physics->strands[0]) : "";
+    return physics->strands[0].pass ? hg_strand_pass_backend_note(physics->strands[0].pass) : "";
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------------------ */
@@ -348,8 +321,24 @@ static hg_status check_frame(const hg_physics *p, const hg_frame *frame, const h
     return HG_OK;
 }
 
-static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void **point,
-                              void **normal)
+/* Contact matters up to 2 D: of the terms, or of what this call gives in their place. */
+static double contact_reach(const hg_physics *p, const hg_physics_values *values)
+{
+    double reach = p->reach;
+    for (int i = 0; i < values->n; i++) {
+        const hg_pass_value *value = &values->value[i];
+        if (value->kind != HG_INPUT_PARAM || !p->terms[value->term].energy->contact ||
+            strcmp(p->terms[value->term].energy->params[value->param].name, "distance") != 0)
+            continue;
+        for (int64_t k = 0; k < values->count[i]; k++)
+            reach = fmax(reach, 2 * (p->dtype == HG_F64 ? ((const double *)value->values)[k]
+                                                        : (double)((const float *)value->values)[k]));
+    }
+    return reach;
+}
+
+static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, double reach,
+                              void **point, void **normal)
 {
     *point = *normal = NULL;
     if (p->contact < 0) return HG_OK;
@@ -377,40 +366,65 @@ static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame,
         const size_t at = (size_t)(b * points * 3) * size;
         HG_TRY(hg_body_refit_update(ctx, p->refits[b],
                                     (const char *)frame->body_vertices->data + (size_t)(b * N * 3) * size));
-        HG_TRY(hg_body_closest(ctx, p->refits[b], p->mode, p->reach, points, (const char *)x->data + at,
+        HG_TRY(hg_body_closest(ctx, p->refits[b], p->mode, reach, points, (const char *)x->data + at,
                                p->triangles + b * points, (char *)*point + at, (char *)*normal + at));
     }
     return HG_OK;
 }
 
-/* sums[n] is set; per_strand [B,S,n] and gradient are set where not NULL. */
-static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, double *sums,
-                     double *per_strand, void *gradient)
+/* The strand pass for what a call brings and wants. */
+static hg_status find_strands(hg_physics *p, const hg_physics_resolver *resolver, hg_strand_pass **pass)
+{
+    hg_strand_variant wanted;
+    hg_physics_variant(resolver, p->window_column, p->n_window, &wanted);
+    int oldest = 1;
+    p->calls++;
+    for (int i = 0; i < VARIANTS; i++) {
+        strand_variant *made = &p->strands[i];
+        if (made->pass && hg_physics_same_variant(&made->variant, &wanted)) {
+            made->used = p->calls;
+            *pass = made->pass;
+            return HG_OK;
+        }
+        if (i > 0 && made->used < p->strands[oldest].used) oldest = i;
+    }
+    strand_variant *room = &p->strands[oldest];
+    hg_strand_pass_destroy(room->pass);
+    *room = (strand_variant){ .variant = wanted, .used = p->calls };
+    HG_TRY(hg_strand_pass_create(&room->pass, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
+                                 &p->data, &room->variant, true));
+    *pass = room->pass;
+    if (p->backend != HG_BACKEND_INTERPRETER) return HG_OK;
+    return hg_strand_pass_backend(room->pass, p->ctx, p->backend, NULL);
+}
+
+/* sums[n] is set; per_strand [B,S,n] and gradient are set where not NULL; values gets what the frame brings, with the
+ * gradients of tensors that need one where they are wanted. */
+static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, bool gradients,
+                     hg_physics_values *values, double *sums, double *per_strand, void *gradient)
 {
     HG_TRY(check_frame(p, frame, x));
-    if (frame->n_inputs)
-        return hg_fail(HG_UNSUPPORTED, "physics: frame input '%s' cannot be given yet", frame->inputs[0].name);
-    const bool given = frame->posed && p->wants_posed;
-    hg_strand_pass **strands = &p->strands[given];
-    if (given && p->n_window && !*strands) {
-        HG_TRY(hg_strand_pass_create(strands, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
-                                     &p->data, true, true));
-        if (p->backend == HG_BACKEND_INTERPRETER) HG_TRY(hg_strand_pass_backend(*strands, p->ctx, p->backend, NULL));
-    }
+    hg_physics_resolver resolver = { ctx,      p->dtype, &p->data,    p->terms,  p->n,
+                                     &p->asks, frame,    x->shape[0], gradients, values };
+    HG_TRY(hg_physics_resolve(&resolver));
     for (int t = 0; t < p->n; t++) sums[t] = 0;
     void *point, *normal;
-    HG_TRY(find_contact(p, ctx, frame, x, &point, &normal));
+    HG_TRY(find_contact(p, ctx, frame, x, contact_reach(p, values), &point, &normal));
     if (p->n_window) {
+        hg_strand_pass *strands;
+        HG_TRY(find_strands(p, &resolver, &strands));
         hg_profile_begin(ctx, "energies", p->window_names);
-        HG_TRY(hg_strand_pass_run(*strands, ctx, frame, x, point, normal, gradient, sums, per_strand, p->n));
+        HG_TRY(hg_strand_pass_run(strands, ctx, frame, x, point, normal, values->n, values->value, gradient, sums,
+                                  per_strand, p->n));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) *
                                 (1 + (frame->predicted != NULL) + 2 * (point != NULL) + (gradient != NULL)));
-    } else if (gradient)
+    } else if (gradient) {
         memset(gradient, 0, hg_tensor_bytes(x));
+    }
     for (int i = 0; i < p->n_others; i++) {
         const int t = p->others[i].term;
         hg_profile_begin(ctx, "energies", p->terms[t].energy->name);
-        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, 0, NULL, gradient, &sums[t],
+        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, values->n, values->value, gradient, &sums[t],
                                       per_strand ? per_strand + t : NULL, p->n));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) * (1 + 2 * (gradient != NULL)));
     }
@@ -421,8 +435,9 @@ hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *
                               double *per_strand, hg_tensor *gradient)
 {
     if (!x) return hg_fail(HG_INVALID, "physics: x is NULL");
+    hg_physics_values values;
     HG_TRY(check(physics, gradient, "gradient", x->rank, x->shape));
-    HG_TRY(run(physics, ctx, frame, x, physics->sums, per_strand, gradient ? gradient->data : NULL));
+    HG_TRY(run(physics, ctx, frame, x, false, &values, physics->sums, per_strand, gradient ? gradient->data : NULL));
     if (gradient) hg_tensor_touch(gradient);
     if (unweighted) memcpy(unweighted, physics->sums, (size_t)physics->n * sizeof *unweighted);
     return HG_OK;
@@ -434,6 +449,7 @@ typedef struct {
     hg_physics *physics;
     hg_frame frame;
     double *unweighted;
+    void *gradient[HG_OP_INPUTS]; /* of the inputs, made by forward */
 } physics_call;
 
 static hg_tensor *physics_shape(hg_call *call)
@@ -444,16 +460,18 @@ static hg_tensor *physics_shape(hg_call *call)
 
 static hg_status physics_forward(hg_call *call)
 {
-    const physics_call *attributes = call->attributes;
+    physics_call *attributes = call->attributes;
     hg_physics *p = attributes->physics;
     hg_tensor *x = call->in[0];
-    if (hg_needs_grad(x)) {
-        call->saved[0] = hg_tensor_make(call->ctx, x->dtype, x->rank, x->shape);
-        if (!call->saved[0]) return hg_ctx_status(call->ctx);
-    }
-    hg_status status =
-        run(p, call->ctx, &attributes->frame, x, p->sums, NULL, call->saved[0] ? call->saved[0]->data : NULL);
-    if (status != HG_OK) return status;
+    const bool recorded = hg_call_recorded(call);
+    hg_physics_values values;
+    if (recorded && hg_needs_grad(x) && !(attributes->gradient[0] = hg_step_alloc(call->ctx, hg_tensor_bytes(x) + 1)))
+        return HG_MEMORY;
+    HG_TRY(run(p, call->ctx, &attributes->frame, x, recorded, &values, p->sums, NULL, attributes->gradient[0]));
+    for (int i = 1; i < call->n_in && recorded; i++)
+        if (!(attributes->gradient[i] = hg_physics_gradient(call->ctx, &values, call->in[i]))) return HG_MEMORY;
+    attributes->frame.inputs = NULL; /* the caller's, as long as its call */
+    attributes->frame.n_inputs = 0;
     double total = 0;
     for (int t = 0; t < p->n; t++) total += p->terms[t].weight * p->sums[t];
     if (attributes->unweighted) memcpy(attributes->unweighted, p->sums, (size_t)p->n * sizeof(double));
@@ -486,23 +504,44 @@ static hg_status physics_backward(hg_call *call)
     static const hg_kernel kernel = {
         .name = "physics_backward", .args_size = sizeof(scale_work), .cpu = add_scaled, .block = 65536
     };
-    if (!hg_needs_grad(call->in[0])) return HG_OK;
-    const scale_work work = { call->saved[0]->data, hg_grad(call->in[0])->data, hg_tensor_item(hg_grad(call->out), 0),
-                              call->in[0]->dtype };
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->in[0]), &work);
+    const physics_call *attributes = call->attributes;
+    const double scale = hg_tensor_item(hg_grad(call->out), 0);
+    for (int i = 0; i < call->n_in; i++) {
+        if (!hg_needs_grad(call->in[i])) continue;
+        const scale_work work = { attributes->gradient[i], hg_grad(call->in[i])->data, scale, call->in[i]->dtype };
+        HG_TRY(hg_launch(call->ctx, &kernel, hg_tensor_count(call->in[i]), &work));
+    }
+    return HG_OK;
 }
 
 static const hg_op physics_op = { .name = "physics",
                                   .formula = "sum of weight * energy",
                                   .min_in = 1,
-                                  .max_in = 1,
+                                  .max_in = HG_OP_INPUTS,
                                   .attributes_size = sizeof(physics_call),
                                   .shape = physics_shape,
                                   .forward = physics_forward,
                                   .backward = physics_backward };
 
+/* The inputs of the op are x and every other tensor that needs a gradient, each once. */
 hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted)
 {
-    const physics_call attributes = { physics, *frame, unweighted };
-    return hg_apply(ctx, &physics_op, 1, &x, &attributes);
+    const physics_call attributes = { .physics = physics, .frame = *frame, .unweighted = unweighted };
+    hg_tensor *const members[] = { frame->root_rotation, frame->root_position, frame->posed, frame->predicted,
+                                   frame->previous };
+    const int n_members = (int)(sizeof members / sizeof *members);
+    hg_tensor *in[HG_OP_INPUTS] = { x };
+    int n = 1;
+    for (int i = 0; i < n_members + frame->n_inputs; i++) {
+        hg_tensor *tensor = i < n_members ? members[i] : frame->inputs[i - n_members].value;
+        bool there = !hg_needs_grad(tensor);
+        for (int k = 1; k < n && !there; k++) there = in[k] == tensor;
+        if (there) continue;
+        if (n == HG_OP_INPUTS) {
+            hg_ctx_fail(ctx, HG_UNSUPPORTED, "physics: more than %d tensors need a gradient in one call", n);
+            return NULL;
+        }
+        in[n++] = tensor;
+    }
+    return hg_apply(ctx, &physics_op, n, in, &attributes);
 }

@@ -21,12 +21,14 @@ typedef struct {
 
 /* A value of this call that is not the groom's or the term's own, resolved by physics, and where its gradient goes. */
 typedef struct {
-    hg_input_kind kind; /* HG_INPUT_PARAM, HG_INPUT_DT, HG_INPUT_REST, HG_INPUT_MASS, HG_INPUT_ATTRIBUTE */
+    hg_input_kind kind; /* HG_INPUT_PARAM, DT, REST, MASS, ATTRIBUTE; of the strand pass alone: Q, FRAME, and with a
+                           gradient POSED, PREDICTED, PREVIOUS, ROOT_ROTATION, ROOT_POSITION */
     int term, param;    /* HG_INPUT_PARAM: number of the term in the physics, number of the param in its energy */
-    const char *name;   /* HG_INPUT_ATTRIBUTE */
+    const char *name;   /* HG_INPUT_ATTRIBUTE, HG_INPUT_FRAME */
     bool uniform;       /* a param or dt of one value: values is [1] */
     const void *values; /* in the dtype of the physics: [1] or [B,S]; groom values [G,S,V,w] */
-    void *gradient;     /* the same shape, NULL: not wanted; the pass ADDS weight * dE/dvalue */
+    void *gradient;     /* the same shape, NULL: not wanted; zero or the strand pass' part before; the pass ADDS
+                           weight * dE/dvalue */
 } hg_pass_value;
 
 typedef struct {
@@ -54,19 +56,30 @@ hg_status hg_term_complete(const hg_term *term, double params[HG_ENERGY_PARAMS],
 
 typedef struct hg_strand_pass hg_strand_pass;
 
-/* terms: completed, all of site kind window; column[i]: number of term i in the physics. The data must outlive it. */
+/* What a call brings and wants, as far as it changes the program. */
+typedef struct {
+    bool posed_given;  /* by the frame; otherwise made in the kernel */
+    bool root_at_rest; /* rest is given and the root position is not: it is the rest root */
+    int n_given;
+    hg_given given[HG_GIVEN]; /* `term` counts the terms of the strand pass */
+} hg_strand_variant;
+
+/* terms: completed, all of site kind window; column[i]: number of term i in the physics. The data, and the names in the
+ * variant (NULL: nothing is given), must outlive it. */
 hg_status hg_strand_pass_create(hg_strand_pass **pass, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms,
-                                const int32_t *column, const hg_groom_data *data, bool posed_given, bool hoist);
+                                const int32_t *column, const hg_groom_data *data, const hg_strand_variant *variant,
+                                bool hoist);
 void hg_strand_pass_destroy(hg_strand_pass *pass);
 /* level: "avx512", "avx2", "sse4", "plain": that one only; NULL: the best that the processor has. */
 hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level);
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass);
 const char *hg_strand_pass_backend_note(const hg_strand_pass *pass); /* why, how long */
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
-/* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient is SET (NULL: not wanted).
- * unweighted[column[i]] and per_strand[.. * stride + column[i]] are set. */
+/* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient (NULL: not wanted) and those of
+ * the values are SET. unweighted[column[i]] and per_strand[.. * stride + column[i]] are set. */
 hg_status hg_strand_pass_run(hg_strand_pass *pass, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
-                             const void *contact_point, const void *contact_normal, void *gradient, double *unweighted,
-                             double *per_strand, int64_t stride);
+                             const void *contact_point, const void *contact_normal, int n_values,
+                             const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
+                             int64_t stride);
 
 #endif

@@ -19,6 +19,7 @@ struct hg_strand_pass {
     int lanes;
     int64_t tiles;             /* per frame */
     void *site, *groom_strand; /* made once per groom, in the tile layout of the kernel */
+    double *rest_carry;        /* [G,S,V,n_rest_carry] while they are made */
     void *uniform;
     double *uniform_values, *uniform_inputs;
     void *scratch;
@@ -46,6 +47,8 @@ static double groom_value(const hg_strand_pass *p, hg_input in, int64_t groom, i
     case HG_INPUT_REST:
     case HG_INPUT_ROOT_REST:
         return data->rest[3 * at + in.component];
+    case HG_INPUT_REST_CARRY:
+        return p->rest_carry[at * p->program->n_rest_carry + p->program->rest_carries[in.name].at + in.component];
     case HG_INPUT_MASS:
         return data->mass[at];
     default:
@@ -122,6 +125,72 @@ static hg_status make_groom(hg_strand_pass *p, hg_ctx *ctx, const hg_function *f
     return hg_launch(ctx, &kernel, rows, &work);
 }
 
+/* Runs a function of a vertex for some strands of a groom; out[j] gets its outputs. */
+static void at_vertex(const hg_strand_pass *p, const hg_function *function, int64_t groom, int64_t strand,
+                      int64_t count, int64_t vertex, double out[][GROOM_CHUNK], int n_out)
+{
+    int n_in;
+    const hg_input *inputs = hg_function_inputs(function, &n_in);
+    double in[GROOM_VALUES][GROOM_CHUNK];
+    const void *ins[GROOM_VALUES];
+    void *outs[GROOM_VALUES];
+    for (int i = 0; i < n_in; i++) {
+        ins[i] = in[i];
+        for (int64_t l = 0; l < count; l++) in[i][l] = groom_value(p, inputs[i], groom, strand + l, vertex);
+    }
+    for (int j = 0; j < n_out; j++) outs[j] = out[j];
+    hg_function_run(function, HG_F64, count, ins, NULL, outs);
+}
+
+/* Carried rest data of some strands, from root to tip. */
+static void rest_carry_rows(const void *args, int64_t first, int64_t last)
+{
+    const hg_strand_pass *p = *(hg_strand_pass *const *)args;
+    const hg_strand_program *program = p->program;
+    const int64_t S = p->data->strands, V = p->data->vertices, chunks = (S + GROOM_CHUNK - 1) / GROOM_CHUNK;
+    const int n = program->n_rest_carry;
+    double out[4 * HG_GRAPH_CARRIES][GROOM_CHUNK];
+    for (int64_t row = first; row < last; row++) {
+        const int64_t groom = row / chunks, strand = row % chunks * GROOM_CHUNK;
+        const int64_t count = S - strand < GROOM_CHUNK ? S - strand : GROOM_CHUNK;
+        for (int64_t v = 0; v < V; v++)
+            for (int kept = 0; kept < 2; kept++) {
+                if (kept && v + 1 == V) break;
+                /* one carried value's beginning may be made of another's */
+                for (int round = 0; round < (kept ? 1 : program->n_rest_carries); round++) {
+                    at_vertex(p, kept ? program->rest_kept : program->rest_first, groom, strand, count, v, out, n);
+                    for (int i = 0; i < program->n_rest_carries; i++) {
+                        if (kept ? v < program->rest_carries[i].start : v != program->rest_carries[i].start) continue;
+                        for (int c = 0; c < program->rest_carries[i].width; c++) {
+                            const int j = program->rest_carries[i].at + c;
+                            for (int64_t l = 0; l < count; l++)
+                                p->rest_carry[((groom * S + strand + l) * V + v + kept) * n + j] = out[j][l];
+                        }
+                    }
+                }
+            }
+    }
+}
+
+static hg_status make_rest_carry(hg_strand_pass *p, hg_ctx *ctx)
+{
+    static const hg_kernel kernel = {
+        .name = "groom_carry", .args_size = sizeof(hg_strand_pass *), .cpu = rest_carry_rows, .block = 1
+    };
+    const hg_strand_program *program = p->program;
+    const int64_t S = p->data->strands, G = p->data->grooms;
+    if (!program->n_rest_carry) return HG_OK;
+    int first, kept;
+    hg_function_inputs(program->rest_first, &first);
+    hg_function_inputs(program->rest_kept, &kept);
+    if (first > GROOM_VALUES || kept > GROOM_VALUES)
+        return hg_fail(HG_UNSUPPORTED, "carried rest data is made of %d values: at most %d are possible",
+                       first > kept ? first : kept, GROOM_VALUES);
+    p->rest_carry = hg_alloc((size_t)(G * S * p->data->vertices * program->n_rest_carry) + 1, sizeof(double));
+    if (!p->rest_carry) return HG_MEMORY;
+    return hg_launch(ctx, &kernel, G * ((S + GROOM_CHUNK - 1) / GROOM_CHUNK), &p);
+}
+
 /* ---- the kernel --------------------------------------------------------------------------------------------- */
 
 #if defined(__x86_64__)
@@ -168,8 +237,13 @@ static hg_status prepare(hg_strand_pass *p, hg_ctx *ctx, const hg_strand_kernel_
     p->compiled = compiled;
     p->lanes = compiled ? compiled->lanes : hg_strand_lanes(p->dtype);
     p->tiles = (p->data->strands + p->lanes - 1) / p->lanes;
-    HG_TRY(make_groom(p, ctx, program->site, program->n_site, p->data->vertices, &p->site));
-    HG_TRY(make_groom(p, ctx, program->groom_strand, program->n_groom_strand, 1, &p->groom_strand));
+    hg_status status = make_rest_carry(p, ctx);
+    if (status == HG_OK) status = make_groom(p, ctx, program->site, program->n_site, p->data->vertices, &p->site);
+    if (status == HG_OK)
+        status = make_groom(p, ctx, program->groom_strand, program->n_groom_strand, 1, &p->groom_strand);
+    hg_free(p->rest_carry);
+    p->rest_carry = NULL;
+    HG_TRY(status);
     p->threads = 0;
     return make_scratch(p, ctx);
 }
@@ -211,8 +285,16 @@ hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend b
     return prepare(pass, ctx, compiled);
 }
 
+static bool attribute_given(const hg_strand_variant *variant, const char *name)
+{
+    for (int i = 0; variant && i < variant->n_given; i++)
+        if (variant->given[i].kind == HG_INPUT_ATTRIBUTE && strcmp(variant->given[i].name, name) == 0) return true;
+    return false;
+}
+
 hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms,
-                                const int32_t *column, const hg_groom_data *data, bool posed_given, bool hoist)
+                                const int32_t *column, const hg_groom_data *data, const hg_strand_variant *variant,
+                                bool hoist)
 {
     *out = NULL;
     hg_strand_pass *p = hg_alloc(1, sizeof *p);
@@ -233,14 +315,18 @@ hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtyp
         p->terms[t] = terms[t];
         p->column[t] = column[t];
         hg_term_scope(&traced[t].scope, &terms[t], t, HG_ALLOW_WINDOW);
-        traced[t].scope.posed_given = posed_given;
+        traced[t].scope.posed_given = variant && variant->posed_given;
+        traced[t].scope.root_at_rest = variant && variant->root_at_rest;
         traced[t].trace = terms[t].energy->trace;
         traced[t].root = terms[t].energy->root;
     }
-    if (status == HG_OK) status = hg_strand_program_create(&p->program, dtype, n, traced, hoist);
+    if (status == HG_OK)
+        status = hg_strand_program_create(&p->program, dtype, n, traced, variant ? variant->n_given : 0,
+                                          variant ? variant->given : NULL, hoist);
     hg_free(traced);
     for (int i = 0; status == HG_OK && i < p->program->n_attributes; i++)
-        if (!hg_groom_attribute_find(data, p->program->attributes[i]))
+        if (!hg_groom_attribute_find(data, p->program->attributes[i]) &&
+            !attribute_given(variant, p->program->attributes[i]))
             status = hg_fail(HG_INVALID, "energy '%s' needs the groom attribute '%s', which was not given",
                              terms[p->program->attribute_term[i]].energy->name, p->program->attributes[i]);
     if (status == HG_OK) {
@@ -293,16 +379,39 @@ static void strand_tiles(const void *args, int64_t first, int64_t last)
         hg_strand_interpret(p->program, &work->args, first, last, scratch);
 }
 
-static void make_uniform(hg_strand_pass *p, const hg_frame *frame)
+/* The value of this call for an input of the program; NULL when there is none. */
+static const hg_pass_value *find_value(const hg_strand_pass *p, int n, const hg_pass_value *values, hg_input_kind kind,
+                                       int name, int term)
+{
+    for (int i = 0; i < n; i++) {
+        const hg_pass_value *value = &values[i];
+        if (value->kind != kind) continue;
+        if (kind == HG_INPUT_PARAM && (value->term != p->column[term] || value->param != name)) continue;
+        if (kind == HG_INPUT_ATTRIBUTE && strcmp(value->name, p->program->attributes[name]) != 0) continue;
+        if (kind == HG_INPUT_FRAME && strcmp(value->name, p->program->frames[name]) != 0) continue;
+        return value;
+    }
+    return NULL;
+}
+
+static double number_at(hg_dtype dtype, const void *values, int64_t i)
+{
+    return dtype == HG_F64 ? ((const double *)values)[i] : (double)((const float *)values)[i];
+}
+
+static void make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_values, const hg_pass_value *values)
 {
     const hg_strand_program *program = p->program;
     if (!program->uniform) return;
     int n_in;
     const hg_input *inputs = hg_function_inputs(program->uniform, &n_in);
-    for (int i = 0; i < n_in; i++)
-        p->uniform_inputs[i] = inputs[i].kind == HG_INPUT_PARAM    ? p->terms[inputs[i].term].params[inputs[i].name]
-                               : inputs[i].kind == HG_INPUT_WEIGHT ? p->terms[inputs[i].term].weight
-                                                                   : frame->dt;
+    for (int i = 0; i < n_in; i++) {
+        const hg_pass_value *value = find_value(p, n_values, values, inputs[i].kind, inputs[i].name, inputs[i].term);
+        p->uniform_inputs[i] = inputs[i].kind == HG_INPUT_WEIGHT  ? p->terms[inputs[i].term].weight
+                               : value                            ? number_at(p->dtype, value->values, 0)
+                               : inputs[i].kind == HG_INPUT_PARAM ? p->terms[inputs[i].term].params[inputs[i].name]
+                                                                  : frame->dt;
+    }
     void *out[256];
     for (int j = 0; j < program->n_uniform; j++) out[j] = &p->uniform_values[j];
     hg_function_run(program->uniform, HG_F64, 1, NULL, p->uniform_inputs, out);
@@ -347,53 +456,158 @@ static void *still_roots(const hg_strand_pass *p, hg_ctx *ctx, const hg_frame *f
     return to;
 }
 
+/* A sum of per-strand or per-frame gradients that the kernel leaves, in the shape in which it is wanted. */
+typedef struct {
+    hg_dtype dtype;
+    const int32_t *groom; /* [B]; of rest data: a row per frame goes to the row of its groom */
+    int64_t frames, row;  /* row: values of one frame */
+    const void *from;
+    void *to; /* [G,row] */
+} reduce_work;
+
+static void reduce_rows(const void *args, int64_t first, int64_t last)
+{
+    const reduce_work *work = args;
+    for (int64_t b = 0; b < work->frames; b++) {
+        const int64_t groom = work->groom ? work->groom[b] : 0;
+        for (int64_t i = first; i < last; i++) {
+            if (work->dtype == HG_F64)
+                ((double *)work->to)[groom * work->row + i] += ((const double *)work->from)[b * work->row + i];
+            else
+                ((float *)work->to)[groom * work->row + i] += ((const float *)work->from)[b * work->row + i];
+        }
+    }
+}
+
+static hg_status reduce(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, int64_t frames, int64_t row,
+                        bool uniform, const void *from, void *to)
+{
+    static const hg_kernel kernel = {
+        .name = "groom_gradient", .args_size = sizeof(reduce_work), .cpu = reduce_rows, .block = 4096
+    };
+    if (uniform) { /* one value of all strands: summed in f64 */
+        double sum = 0;
+        for (int64_t i = 0; i < frames * row; i++) sum += number_at(p->dtype, from, i);
+        if (p->dtype == HG_F64)
+            *(double *)to = sum;
+        else
+            *(float *)to = (float)sum;
+        return HG_OK;
+    }
+    memset(to, 0, (size_t)(p->data->grooms * row) * hg_dtype_size(p->dtype));
+    const reduce_work work = { p->dtype, frame->groom, frames, row, from, to };
+    return hg_launch(ctx, &kernel, row, &work);
+}
+
+/* [B,S] of one value. */
+static void *spread(const hg_strand_pass *p, hg_ctx *ctx, int64_t n, const void *value)
+{
+    void *to = hg_step_alloc(ctx, (size_t)n * hg_dtype_size(p->dtype) + 1);
+    for (int64_t i = 0; to && i < n; i++) {
+        if (p->dtype == HG_F64)
+            ((double *)to)[i] = *(const double *)value;
+        else
+            ((float *)to)[i] = *(const float *)value;
+    }
+    return to;
+}
+
+/* Where the kernel finds an array of the program, or NULL. */
+static const void *array_data(const hg_strand_pass *p, const hg_frame *frame, const hg_tensor *x,
+                              const void *contact_point, const void *contact_normal, const hg_strand_input *array,
+                              const hg_pass_value *value)
+{
+    const hg_tensor *brought = NULL;
+    (void)p;
+    switch (array->kind) {
+    case HG_INPUT_X:
+        brought = x;
+        break;
+    case HG_INPUT_POSED:
+        brought = frame->posed;
+        break;
+    case HG_INPUT_PREDICTED:
+        brought = frame->predicted;
+        break;
+    case HG_INPUT_PREVIOUS:
+        brought = frame->previous;
+        break;
+    case HG_INPUT_CONTACT_POINT:
+        return contact_point;
+    case HG_INPUT_CONTACT_NORMAL:
+        return contact_normal;
+    default:
+        return value ? value->values : NULL;
+    }
+    return brought ? brought->data : NULL;
+}
+
+static hg_status array_missing(const hg_strand_pass *p, const hg_strand_input *array)
+{
+    if (array->kind == HG_INPUT_FRAME)
+        return hg_fail(HG_INVALID, "energy '%s' needs the array '%s' [B,S,V%s], which frame.inputs does not bring",
+                       p->terms[p->program->frame_term[array->name]].energy->name, p->program->frames[array->name],
+                       array->width == 3 ? ",3" : "");
+    return missing(p, array->kind,
+                   array->kind == HG_INPUT_Q ? "inputs \"q\" [B,S,V-1,4]"
+                   : array->kind == HG_INPUT_CONTACT_POINT || array->kind == HG_INPUT_CONTACT_NORMAL
+                       ? "body_vertices"
+                       : hg_input_name(array->kind));
+}
+
 hg_status hg_strand_pass_run(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
-                             const void *contact_point, const void *contact_normal, void *gradient, double *unweighted,
-                             double *per_strand, int64_t stride)
+                             const void *contact_point, const void *contact_normal, int n_values,
+                             const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
+                             int64_t stride)
 {
     const hg_strand_program *program = p->program;
-    const int64_t frames = x->shape[0], n = frames * p->tiles;
+    const int64_t frames = x->shape[0], n = frames * p->tiles, S = p->data->strands, V = p->data->vertices;
+    const size_t size = hg_dtype_size(p->dtype);
     for (int t = 0; t < p->n; t++) unweighted[p->column[t]] = 0;
     if (n == 0) return HG_OK;
     HG_TRY(make_scratch(p, ctx));
-    make_uniform(p, frame);
+    make_uniform(p, frame, n_values, values);
 
     strand_work work = { .pass = p,
-                         .args = { .strands = p->data->strands,
-                                   .vertices = p->data->vertices,
+                         .args = { .strands = S,
+                                   .vertices = V,
                                    .tiles = p->tiles,
                                    .groom = frame->groom,
                                    .site = p->site,
                                    .groom_strand = p->groom_strand,
                                    .uniform = p->uniform,
-                                   .gradient = gradient,
                                    .per_strand = per_strand,
                                    .stride = stride,
                                    .column = p->column } };
     hg_strand_args *args = &work.args;
-    const struct {
-        int array;
-        const void *data;
-        hg_input_kind kind;
-        const char *name;
-    } given[] = {
-        { HG_STRAND_X, x->data, HG_INPUT_X, "x" },
-        { HG_STRAND_POSED, frame->posed ? frame->posed->data : NULL, HG_INPUT_POSED, "posed" },
-        { HG_STRAND_PREDICTED, frame->predicted ? frame->predicted->data : NULL, HG_INPUT_PREDICTED, "predicted" },
-        { HG_STRAND_PREVIOUS, frame->previous ? frame->previous->data : NULL, HG_INPUT_PREVIOUS, "previous" },
-        { HG_STRAND_CONTACT_POINT, contact_point, HG_INPUT_CONTACT_POINT, "body_vertices" },
-        { HG_STRAND_CONTACT_NORMAL, contact_normal, HG_INPUT_CONTACT_NORMAL, "body_vertices" },
-    };
-    for (size_t i = 0; i < sizeof given / sizeof *given; i++) {
-        args->array[given[i].array] = given[i].data;
-        if (!given[i].data && program->arrays >> given[i].array & 1) return missing(p, given[i].kind, given[i].name);
+    for (int k = 0; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        const hg_pass_value *value = find_value(p, n_values, values, array->kind, array->name, 0);
+        args->array[k] = array_data(p, frame, x, contact_point, contact_normal, array, value);
+        if (!args->array[k]) return array_missing(p, array);
+        args->array_gradient[k] = k == 0 ? gradient : value ? value->gradient : NULL;
+        if (array->rest && args->array_gradient[k] && /* per frame first */
+            !(args->array_gradient[k] = hg_step_alloc(ctx, (size_t)(frames * S * V * array->width) * size)))
+            return HG_MEMORY;
     }
-    if (uses(p, HG_INPUT_DT) && !(frame->dt > 0)) return missing(p, HG_INPUT_DT, "dt (a positive time step)");
-    args->root_rotation = frame->root_rotation ? frame->root_rotation->data : still_roots(p, ctx, frame, frames, 4);
-    args->root_position = frame->root_position ? frame->root_position->data : still_roots(p, ctx, frame, frames, 3);
+    if (uses(p, HG_INPUT_DT) && !(frame->dt > 0) && !find_value(p, n_values, values, HG_INPUT_DT, 0, 0))
+        return missing(p, HG_INPUT_DT, "dt (a positive time step)");
+    for (int j = 0; j < program->n_inputs; j++) {
+        const hg_strand_input *input = &program->inputs[j];
+        const hg_pass_value *value = find_value(p, n_values, values, input->kind, input->name, input->term);
+        const hg_tensor *brought = j == 0 ? frame->root_rotation : j == 1 ? frame->root_position : NULL;
+        args->strand_input[j] = brought          ? brought->data
+                                : j < 2          ? still_roots(p, ctx, frame, frames, input->width)
+                                : value->uniform ? spread(p, ctx, frames * S, value->values)
+                                                 : value->values;
+        args->strand_input_gradient[j] = value ? value->gradient : NULL;
+        if (value && value->uniform && value->gradient &&
+            !(args->strand_input_gradient[j] = hg_step_alloc(ctx, (size_t)(frames * S) * size)))
+            return HG_MEMORY;
+        if (!args->strand_input[j]) return HG_MEMORY;
+    }
     args->energy = hg_step_alloc(ctx, (size_t)(n * p->n) * sizeof(double) + 1);
-    if (!args->root_rotation || !args->root_position || !args->energy)
-        return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)(frames * p->data->strands));
+    if (!args->energy) return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)(frames * S));
 
     const hg_kernel kernel = {
         .name = "strand_energies", .args_size = sizeof work, .cpu = strand_tiles, .block = p->lanes >= 64 ? 1 : 8
@@ -401,5 +615,18 @@ hg_status hg_strand_pass_run(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *fra
     HG_TRY(hg_launch(ctx, &kernel, n, &work));
     for (int64_t tile = 0; tile < n; tile++)
         for (int t = 0; t < p->n; t++) unweighted[p->column[t]] += args->energy[tile * p->n + t];
+
+    for (int k = 1; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        if (array->rest && args->array_gradient[k])
+            HG_TRY(reduce(p, ctx, frame, frames, S * V * array->width, false, args->array_gradient[k],
+                          find_value(p, n_values, values, array->kind, array->name, 0)->gradient));
+    }
+    for (int j = 2; j < program->n_inputs; j++) {
+        const hg_strand_input *input = &program->inputs[j];
+        const hg_pass_value *value = find_value(p, n_values, values, input->kind, input->name, input->term);
+        if (value->uniform && value->gradient)
+            HG_TRY(reduce(p, ctx, frame, frames, S, true, args->strand_input_gradient[j], value->gradient));
+    }
     return HG_OK;
 }

@@ -113,7 +113,7 @@ static void check_hoisting(const variant *v, void *self)
     double energy[2];
     for (int hoist = 0; hoist < 2; hoist++) {
         hg_strand_pass *pass;
-        ok(hg_strand_pass_create(&pass, ctx, HG_F64, 1, &term, &column, &s.data, false, hoist), v->label);
+        ok(hg_strand_pass_create(&pass, ctx, HG_F64, 1, &term, &column, &s.data, NULL, hoist), v->label);
         hg_tensor *point = NULL, *normal = NULL;
         if (v->term.energy->contact) { /* any contact will do here: the plane y = 1 mm */
             point = hg_tensor_make(ctx, HG_F64, 4, x->shape);
@@ -123,7 +123,7 @@ static void check_hoisting(const variant *v, void *self)
                 ((double *)point->data)[i] = i % 3 == 1 ? 1e-3 : ((double *)x->data)[i];
             }
         }
-        ok(hg_strand_pass_run(pass, ctx, &frame, x, point ? point->data : NULL, normal ? normal->data : NULL,
+        ok(hg_strand_pass_run(pass, ctx, &frame, x, point ? point->data : NULL, normal ? normal->data : NULL, 0, NULL,
                               gradient[hoist]->data, &energy[hoist], NULL, 1),
            v->label);
         hg_strand_pass_destroy(pass);

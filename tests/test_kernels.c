@@ -64,13 +64,14 @@ static void test_levels(void **state)
             const hg_frame frame = scene_frame(&s, ctx, type);
             hg_tensor *x = scene_x(&s, ctx, type), *a = scene_x(&s, ctx, type), *b = scene_x(&s, ctx, type);
             hg_strand_pass *pass;
-            ok(hg_strand_pass_create(&pass, ctx, type, 4, terms, column, &s.data, false, true), "levels");
+            ok(hg_strand_pass_create(&pass, ctx, type, 4, terms, column, &s.data, NULL, true), "levels");
             ok(hg_strand_pass_backend(pass, ctx, HG_BACKEND_INTERPRETER, NULL), "levels");
-            ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, a->data, expected, NULL, 4), "levels");
+            ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, 0, NULL, a->data, expected, NULL, 4), "levels");
             for (int level = 0; level < 4; level++) {
                 if (hg_strand_pass_backend(pass, ctx, HG_BACKEND_COMPILED, levels[level]) != HG_OK) continue;
                 found++;
-                ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, b->data, energies, NULL, 4), levels[level]);
+                ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, 0, NULL, b->data, energies, NULL, 4),
+                   levels[level]);
                 double worst = 0, largest = 0;
                 for (int64_t i = 0; i < hg_tensor_count(x); i++) {
                     worst = fmax(worst, fabs(value(a, i) - value(b, i)));
@@ -117,7 +118,7 @@ static void print_variant(const variant *v, void *self)
     hg_strand_term traced = { .trace = energy->trace, .root = energy->root };
     hg_term_scope(&traced.scope, &term, 0, HG_ALLOW_WINDOW);
     hg_strand_program *program;
-    ok(hg_strand_program_create(&program, p->dtype, 1, &traced, true), v->label);
+    ok(hg_strand_program_create(&program, p->dtype, 1, &traced, 0, NULL, true), v->label);
     p->hash[p->n] = program->hash;
     for (int i = 0; i < p->n; i++)
         if (p->hash[i] == program->hash) { /* an option that changes the contact query alone */

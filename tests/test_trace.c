@@ -313,8 +313,8 @@ static void test_rates(void **state)
         NULL
     };
     hg_strand_program *hoisted, *plain;
-    assert_int_equal(hg_strand_program_create(&hoisted, HG_F32, 1, &term, true), HG_OK);
-    assert_int_equal(hg_strand_program_create(&plain, HG_F32, 1, &term, false), HG_OK);
+    assert_int_equal(hg_strand_program_create(&hoisted, HG_F32, 1, &term, 0, NULL, true), HG_OK);
+    assert_int_equal(hg_strand_program_create(&plain, HG_F32, 1, &term, 0, NULL, false), HG_OK);
     assert_int_equal(hoisted->bodies, 2);
     assert_int_equal(hoisted->n_site, 2); /* l0 and 1/l0 */
     assert_true(hoisted->n_uniform <= 3); /* k, and k times the weight in the derivative */

@@ -1,20 +1,12 @@
-/* Recording: the scalars of a formula become nodes of a graph. Equal nodes are one node (hash consing), arithmetic on
- * literals is done at once, and a few identities keep the graph small (x + 0, 1 x, -(-x), division by something slower
- * becomes multiplication by its reciprocal, which can be hoisted). The graph being recorded is thread-local. */
+/* The graph: equal nodes are one node (hash consing), arithmetic on literals is done at once, and a few identities keep
+ * it small (x + 0, 1 x, -(-x), division by something slower becomes multiplication by its reciprocal, which can be
+ * hoisted). */
 #include "autograd/trace/graph.h"
 
 #include <math.h>
 #include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
-
-typedef struct {
-    hg_graph *graph;
-    const hg_trace_scope *scope;
-    uint32_t used;
-} recording;
-
-static _Thread_local recording *current;
 
 /* ---- the graph ---------------------------------------------------------------------------------------------- */
 
@@ -28,6 +20,8 @@ void hg_graph_free(hg_graph *graph)
     hg_free(graph->nodes);
     hg_free(graph->table);
     for (int i = 0; i < graph->n_attributes; i++) hg_free(graph->attributes[i]);
+    for (int i = 0; i < graph->n_frames; i++) hg_free(graph->frames[i]);
+    for (int i = 0; i < graph->n_carries; i++) hg_free(graph->carries[i].name);
     *graph = (hg_graph){ .status = HG_OK };
 }
 
@@ -128,9 +122,45 @@ static const struct {
     [HG_INPUT_WEIGHT] = { "weight", HG_RATE_UNIFORM, 1 },
     [HG_INPUT_DT] = { "dt", HG_RATE_UNIFORM, 1 },
     [HG_INPUT_ADJOINT] = { "adjoint", HG_RATE_STRAND, 1 },
+    [HG_INPUT_Q] = { "q", HG_RATE_SITE, 4 },
+    [HG_INPUT_FRAME] = { "a named array of the frame", HG_RATE_SITE, 3 },
+    [HG_INPUT_CARRY] = { "a carried value", HG_RATE_SITE, 4 },
+    [HG_INPUT_REST_CARRY] = { "a carried rest value", HG_RATE_GROOM, 4 },
+    [HG_INPUT_CARRY_ADJOINT] = { "the adjoint of a carried value", HG_RATE_SITE, 4 },
 };
 
 const char *hg_input_name(hg_input_kind kind) { return kinds[kind].name; }
+
+const hg_given *hg_graph_given(const hg_graph *graph, hg_input input)
+{
+    if (input.kind == HG_INPUT_ROOT_REST) input.kind = HG_INPUT_REST;
+    for (int i = 0; i < graph->n_given; i++) {
+        const hg_given *given = &graph->given[i];
+        if (given->kind != input.kind) continue;
+        if (given->kind == HG_INPUT_PARAM && (given->term != input.term || given->param != input.name)) continue;
+        if (given->kind == HG_INPUT_ATTRIBUTE && strcmp(given->name, graph->attributes[input.name]) != 0) continue;
+        if (given->kind == HG_INPUT_FRAME && strcmp(given->name, graph->frames[input.name]) != 0) continue;
+        return given;
+    }
+    return NULL;
+}
+
+static hg_rate input_rate(hg_input input, const hg_given *given)
+{
+    if (!given) return kinds[input.kind].rate;
+    switch (input.kind) {
+    case HG_INPUT_REST:
+    case HG_INPUT_MASS:
+    case HG_INPUT_ATTRIBUTE:
+        return HG_RATE_SITE;
+    case HG_INPUT_ROOT_REST:
+    case HG_INPUT_PARAM:
+    case HG_INPUT_DT:
+        return HG_RATE_STRAND;
+    default:
+        return kinds[input.kind].rate;
+    }
+}
 
 /* Uniform and rest data meet only per call, so such a node belongs to the strand or the site. */
 static hg_rate rate_of(uint8_t depends)
@@ -218,9 +248,10 @@ static int intern(hg_graph *graph, hg_node node)
                                        [HG_RATE_GROOM_STRAND] = HG_DEPENDS_GROOM_STRAND,
                                        [HG_RATE_STRAND] = HG_DEPENDS_STRAND,
                                        [HG_RATE_SITE] = HG_DEPENDS_SITE };
-        node.depends = bit[kinds[node.input.kind].rate];
+        const hg_given *given = hg_graph_given(graph, node.input);
+        node.depends = bit[input_rate(node.input, given)];
         if (node.input.kind == HG_INPUT_ADJOINT) node.depends |= HG_DEPENDS_ADJOINT;
-        node.active = (graph->wrt & HG_ALLOW(node.input.kind)) != 0;
+        node.active = (graph->wrt & HG_ALLOW(node.input.kind)) != 0 || (given && given->gradient);
         if (node.depends & HG_DEPENDS_GROOM) node.first = node.last = (int8_t)node.input.offset;
     } else {
         const int arguments[3] = { node.a, node.b, node.c };
@@ -389,237 +420,3 @@ int hg_graph_shift(hg_graph *graph, int node, int by)
     const int c = n > 2 ? hg_graph_shift(graph, old.c, by) : -1;
     return hg_graph_op(graph, old.op, a, b, c);
 }
-
-/* ---- recording a formula ------------------------------------------------------------------------------------ */
-
-hg_status hg_graph_trace(hg_graph *graph, hg_scalar (*formula)(void), const hg_trace_scope *scope, int *node,
-                         uint32_t *used)
-{
-    recording recording_ = { graph, scope, 0 }, *outer = current;
-    current = &recording_;
-    *node = formula().id;
-    current = outer;
-    if (used) *used |= recording_.used;
-    if (graph->status == HG_OK && *node < 0)
-        hg_graph_fail(graph, HG_INVALID, "the formula of energy '%s' returned no value", scope->name);
-    if (graph->status != HG_OK) return hg_fail(graph->status, "%s", graph->message);
-    return HG_OK;
-}
-
-hg_rate hg_trace_rate(hg_scalar a)
-{
-    return current && a.id >= 0 ? (hg_rate)current->graph->nodes[a.id].rate : HG_RATE_SITE;
-}
-
-static hg_scalar input(hg_input_kind kind, int offset, int component)
-{
-    if (!current) return (hg_scalar){ -1 };
-    if (!(current->scope->allowed & HG_ALLOW(kind))) {
-        hg_graph_fail(current->graph, HG_INVALID, "energy '%s' asks for %s, which this kind of site does not have",
-                      current->scope->name, hg_input_name(kind));
-        return (hg_scalar){ -1 };
-    }
-    current->used |= HG_ALLOW(kind);
-    return (hg_scalar){ hg_graph_input(current->graph, (hg_input){ kind, (int16_t)offset, (int16_t)component, 0, 0 }) };
-}
-
-/* Vertex k of the window, as an offset from its last vertex. */
-static bool in_window(const char *name, int k, int *offset)
-{
-    if (!current) return false;
-    const int window = current->scope->window;
-    if (k < 0 || k >= window) {
-        hg_graph_fail(current->graph, HG_INVALID, "energy '%s' asks for %s(%d), but its site has %d vertices",
-                      current->scope->name, name, k, window);
-        return false;
-    }
-    *offset = k - (window - 1);
-    return true;
-}
-
-static hg_vec3 vector_input(hg_input_kind kind, int k)
-{
-    int offset;
-    const hg_scalar none = { -1 };
-    if (!in_window(hg_input_name(kind), k, &offset)) return (hg_vec3){ none, none, none };
-    return (hg_vec3){ input(kind, offset, 0), input(kind, offset, 1), input(kind, offset, 2) };
-}
-
-static hg_vec3 root_input(hg_input_kind kind, int k)
-{
-    if (current && (k < 0 || k > 1))
-        hg_graph_fail(current->graph, HG_INVALID, "energy '%s' asks for %s(%d): the root edge has vertices 0 and 1",
-                      current->scope->name, hg_input_name(kind), k);
-    return (hg_vec3){ input(kind, k, 0), input(kind, k, 1), input(kind, k, 2) };
-}
-
-hg_vec3 hg_trace_x(int k) { return vector_input(HG_INPUT_X, k); }
-
-hg_vec3 hg_trace_rest(int k) { return vector_input(HG_INPUT_REST, k); }
-
-hg_vec3 hg_trace_predicted(int k) { return vector_input(HG_INPUT_PREDICTED, k); }
-
-hg_vec3 hg_trace_previous(int k) { return vector_input(HG_INPUT_PREVIOUS, k); }
-
-hg_vec3 hg_trace_contact_point(int k) { return vector_input(HG_INPUT_CONTACT_POINT, k); }
-
-hg_vec3 hg_trace_contact_normal(int k) { return vector_input(HG_INPUT_CONTACT_NORMAL, k); }
-
-hg_vec3 hg_trace_root_x(int k) { return root_input(HG_INPUT_ROOT_X, k); }
-
-hg_vec3 hg_trace_root_rest(int k) { return root_input(HG_INPUT_ROOT_REST, k); }
-
-hg_quat hg_trace_root_rotation(void)
-{
-    const hg_input_kind kind = HG_INPUT_ROOT_ROTATION;
-    return (hg_quat){ input(kind, 0, 0), { input(kind, 0, 1), input(kind, 0, 2), input(kind, 0, 3) } };
-}
-
-hg_vec3 hg_trace_root_position(void)
-{
-    const hg_input_kind kind = HG_INPUT_ROOT_POSITION;
-    return (hg_vec3){ input(kind, 0, 0), input(kind, 0, 1), input(kind, 0, 2) };
-}
-
-/* p + R (rest - rest_root): made in the kernel unless the frame brings it, which saves reading it. */
-hg_vec3 hg_trace_posed(int k)
-{
-    if (current && current->scope->posed_given) return vector_input(HG_INPUT_POSED, k);
-    if (current) current->used |= HG_ALLOW(HG_INPUT_POSED);
-    const hg_vec3 arm = hg_trace_vec3_sub(hg_trace_rest(k), hg_trace_root_rest(0));
-    return hg_trace_vec3_add(hg_trace_root_position(), hg_trace_quat_rotate(hg_trace_root_rotation(), arm));
-}
-
-hg_scalar hg_trace_contact_distance(int k)
-{
-    return hg_trace_vec3_dot(hg_trace_contact_normal(k), hg_trace_vec3_sub(hg_trace_x(k), hg_trace_contact_point(k)));
-}
-
-hg_scalar hg_trace_mass(int k)
-{
-    int offset;
-    if (!in_window("mass", k, &offset)) return (hg_scalar){ -1 };
-    return input(HG_INPUT_MASS, offset, 0);
-}
-
-hg_scalar hg_trace_attribute(const char *name, int k)
-{
-    int offset, i;
-    if (!in_window("attribute", k, &offset)) return (hg_scalar){ -1 };
-    const hg_scalar allowed = input(HG_INPUT_ATTRIBUTE, offset, 0);
-    if (allowed.id < 0) return allowed;
-    hg_graph *graph = current->graph;
-    for (i = 0; i < graph->n_attributes && strcmp(graph->attributes[i], name) != 0; i++) {
-    }
-    if (i == graph->n_attributes) {
-        if (i == HG_GRAPH_ATTRIBUTES || !(graph->attributes[i] = hg_strdup(name))) {
-            hg_graph_fail(graph, HG_INVALID, "energy '%s': more than %d groom attributes", current->scope->name,
-                          HG_GRAPH_ATTRIBUTES);
-            return (hg_scalar){ -1 };
-        }
-        graph->n_attributes++;
-    }
-    return (hg_scalar){ hg_graph_input(graph, (hg_input){ HG_INPUT_ATTRIBUTE, (int16_t)offset, 0, (int16_t)i, 0 }) };
-}
-
-hg_scalar hg_trace_strand_length(void) { return hg_trace_attribute("strand_length", 0); }
-
-hg_scalar hg_trace_distance(void) { return input(HG_INPUT_DISTANCE, 0, 0); }
-
-hg_scalar hg_trace_rest_distance(void) { return input(HG_INPUT_REST_DISTANCE, 0, 0); }
-
-hg_scalar hg_trace_field(void) { return input(HG_INPUT_FIELD, 0, 0); }
-
-hg_scalar hg_trace_field_rest(void) { return input(HG_INPUT_FIELD_REST, 0, 0); }
-
-hg_scalar hg_trace_dt(void) { return input(HG_INPUT_DT, 0, 0); }
-
-static hg_scalar param_of(const char *name)
-{
-    if (!current) return (hg_scalar){ -1 };
-    const hg_trace_scope *scope = current->scope;
-    for (int i = 0; i < scope->n_params; i++) {
-        if (strcmp(scope->params[i], name) != 0) continue;
-        current->used |= HG_ALLOW(HG_INPUT_PARAM);
-        return (hg_scalar){ hg_graph_input(current->graph,
-                                           (hg_input){ HG_INPUT_PARAM, 0, 0, (int16_t)i, (int16_t)scope->term }) };
-    }
-    const char *near = hg_nearest_of(name, scope->params, scope->n_params);
-    hg_graph_fail(current->graph, HG_INVALID, "energy '%s' asks for param '%s', which it does not declare%s%s%s",
-                  scope->name, name, near ? "; did it mean '" : "", near ? near : "", near ? "'?" : "");
-    return (hg_scalar){ -1 };
-}
-
-hg_scalar hg_trace_param(const char *name) { return param_of(name); }
-
-hg_vec3 hg_trace_param3(const char *name)
-{
-    char part[64];
-    hg_scalar component[3];
-    for (int i = 0; i < 3; i++) {
-        snprintf(part, sizeof part, "%s.%c", name, "xyz"[i]);
-        component[i] = param_of(part);
-    }
-    return (hg_vec3){ component[0], component[1], component[2] };
-}
-
-bool hg_trace_option(const char *name, const char *choice)
-{
-    if (!current) return false;
-    const hg_trace_scope *scope = current->scope;
-    for (int i = 0; i < scope->n_options; i++)
-        if (strcmp(scope->options[i], name) == 0) return strcmp(scope->choices[i], choice) == 0;
-    hg_graph_fail(current->graph, HG_INVALID, "energy '%s' asks for option '%s', which it does not declare",
-                  scope->name, name);
-    return false;
-}
-
-/* ---- scalars ------------------------------------------------------------------------------------------------ */
-
-static hg_scalar record(hg_node_op op, hg_scalar a, hg_scalar b, hg_scalar c)
-{
-    return (hg_scalar){ current ? hg_graph_op(current->graph, op, a.id, b.id, c.id) : -1 };
-}
-
-static const hg_scalar none = { -1 };
-
-hg_scalar hg_trace_number(double value) { return (hg_scalar){ current ? hg_graph_number(current->graph, value) : -1 }; }
-
-hg_scalar hg_trace_add2(hg_scalar a, hg_scalar b) { return record(HG_NODE_ADD, a, b, none); }
-
-hg_scalar hg_trace_sub(hg_scalar a, hg_scalar b) { return record(HG_NODE_SUB, a, b, none); }
-
-hg_scalar hg_trace_mul2(hg_scalar a, hg_scalar b) { return record(HG_NODE_MUL, a, b, none); }
-
-hg_scalar hg_trace_div(hg_scalar a, hg_scalar b) { return record(HG_NODE_DIV, a, b, none); }
-
-hg_scalar hg_trace_neg(hg_scalar a) { return record(HG_NODE_NEG, a, none, none); }
-
-hg_scalar hg_trace_sqrt(hg_scalar a) { return record(HG_NODE_SQRT, a, none, none); }
-
-hg_scalar hg_trace_rsqrt(hg_scalar a) { return record(HG_NODE_RSQRT, a, none, none); }
-
-hg_scalar hg_trace_abs(hg_scalar a) { return record(HG_NODE_ABS, a, none, none); }
-
-hg_scalar hg_trace_exp(hg_scalar a) { return record(HG_NODE_EXP, a, none, none); }
-
-hg_scalar hg_trace_log(hg_scalar a) { return record(HG_NODE_LOG, a, none, none); }
-
-hg_scalar hg_trace_sin(hg_scalar a) { return record(HG_NODE_SIN, a, none, none); }
-
-hg_scalar hg_trace_cos(hg_scalar a) { return record(HG_NODE_COS, a, none, none); }
-
-hg_scalar hg_trace_atan2(hg_scalar y, hg_scalar x) { return record(HG_NODE_ATAN2, y, x, none); }
-
-hg_scalar hg_trace_min(hg_scalar a, hg_scalar b) { return record(HG_NODE_MIN, a, b, none); }
-
-hg_scalar hg_trace_max(hg_scalar a, hg_scalar b) { return record(HG_NODE_MAX, a, b, none); }
-
-hg_scalar hg_trace_less(hg_scalar a, hg_scalar b) { return record(HG_NODE_LESS, a, b, none); }
-
-hg_scalar hg_trace_select(hg_scalar condition, hg_scalar a, hg_scalar b)
-{
-    return record(HG_NODE_SELECT, condition, a, b);
-}
-
-hg_scalar hg_trace_detach(hg_scalar a) { return record(HG_NODE_DETACH, a, none, none); }

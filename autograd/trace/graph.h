@@ -48,7 +48,18 @@ enum {
     HG_DEPENDS_ADJOINT = 32 /* after the sites of a strand */
 };
 
+/* A value that goes from site to site. */
+typedef struct {
+    char *name;
+    int term, width;
+    bool rest;               /* of rest data alone: HG_INPUT_REST_CARRY */
+    int first[4], kept[4];   /* nodes, as last traced */
+    int first_site_kept[4];  /* what the first site keeps */
+    uint8_t carried, kept_n; /* in the trace that is going on */
+} hg_graph_carry;
+
 #define HG_GRAPH_ATTRIBUTES 16
+#define HG_GRAPH_CARRIES    8
 typedef struct {
     hg_node *nodes;
     int n, capacity;
@@ -58,6 +69,13 @@ typedef struct {
     uint32_t wrt; /* HG_ALLOW(kind) of the inputs that derivatives are asked for */
     char *attributes[HG_GRAPH_ATTRIBUTES];
     int n_attributes;
+    char *frames[HG_GRAPH_ATTRIBUTES]; /* named arrays of the frame */
+    int frame_width[HG_GRAPH_ATTRIBUTES];
+    int n_frames;
+    hg_graph_carry carries[HG_GRAPH_CARRIES];
+    int n_carries;
+    const hg_given *given; /* inputs that are not where they usually are; the caller's */
+    int n_given;
     hg_status status;
     char message[320];
 } hg_graph;
@@ -75,8 +93,11 @@ int hg_node_arguments(hg_node_op op);
 const char *hg_node_name(hg_node_op op);
 double hg_node_evaluate(hg_node_op op, double a, double b, double c);
 const char *hg_input_name(hg_input_kind kind);
+/* The given input that this is one of; NULL when it is none. */
+const hg_given *hg_graph_given(const hg_graph *graph, hg_input input);
 
-/* Traces a formula into the graph; used gets a mask of HG_ALLOW(kind) of what it asked for (may be NULL). */
+/* Traces a formula into the graph; used gets a mask of HG_ALLOW(kind) of what it asked for (may be NULL). A formula that
+ * carries values is traced more than once, until it is known which of them depend on rest data alone. */
 hg_status hg_graph_trace(hg_graph *graph, hg_scalar (*formula)(void), const hg_trace_scope *scope, int *node,
                          uint32_t *used);
 /* Rate of a node being recorded, for vocabulary that chooses the cheaper form. */

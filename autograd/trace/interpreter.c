@@ -39,12 +39,13 @@ int hg_strand_lanes(hg_dtype dtype) { return dtype == HG_F64 ? HG_LANES_F64 : HG
 
 size_t hg_strand_scratch(const hg_strand_program *program, int lanes, int64_t vertices)
 {
-    int slots = 0, arrays = 2; /* x and the gradient */
+    int slots = 0;
     for (int i = 0; i < HG_STRAND_BODIES + 2; i++)
         if (program->steps[i].slots > slots) slots = program->steps[i].slots;
-    for (int k = HG_STRAND_X + 1; k < HG_STRAND_ARRAYS; k++) arrays += program->arrays >> k & 1;
-    const int64_t rows =
-        arrays * 3 * vertices + 7 + program->n_terms + program->n_adjoint + program->n_strand + slots + 1;
+    for (int i = 0; i < HG_STRAND_BODIES; i++)
+        if (program->forward_steps[i].slots > slots) slots = program->forward_steps[i].slots;
+    const int64_t rows = program->tiles.rows * vertices + program->tiles.extra + 2 * program->input_width +
+                         program->n_terms + program->n_adjoint + program->n_strand + slots + 1;
     return (size_t)(rows * lanes) * hg_dtype_size(program->dtype);
 }
 
@@ -255,22 +256,48 @@ uint64_t hg_function_hash(const hg_function *function, uint64_t seed)
     return hg_code_hash(&function->list, seed);
 }
 
-hg_status hg_formula_inputs(hg_scalar (*formula)(void), const hg_trace_scope *scope, uint32_t *kinds, int *n_attributes,
-                            char *attributes[8])
+hg_status hg_formula_reads(hg_scalar (*formula)(void), const hg_trace_scope *scope, hg_formula_names *names)
 {
     hg_graph graph;
     hg_graph_init(&graph, 0, true);
     int node;
-    *kinds = 0;
-    *n_attributes = 0;
-    hg_status status = hg_graph_trace(&graph, formula, scope, &node, kinds);
-    if (status == HG_OK && graph.n_attributes > 8)
-        status = hg_fail(HG_INVALID, "energy '%s' asks for %d groom attributes; 8 are possible", scope->name,
-                         graph.n_attributes);
+    *names = (hg_formula_names){ 0 };
+    hg_status status = hg_graph_trace(&graph, formula, scope, &node, &names->kinds);
+    if (status == HG_OK && graph.n_attributes > HG_FORMULA_NAMES)
+        status = hg_fail(HG_INVALID, "energy '%s' asks for %d groom attributes; %d are possible", scope->name,
+                         graph.n_attributes, HG_FORMULA_NAMES);
+    if (status == HG_OK && graph.n_frames > HG_FORMULA_NAMES)
+        status = hg_fail(HG_INVALID, "energy '%s' reads %d named arrays; %d are possible", scope->name, graph.n_frames,
+                         HG_FORMULA_NAMES);
     for (int i = 0; status == HG_OK && i < graph.n_attributes; i++) {
-        attributes[(*n_attributes)++] = graph.attributes[i];
+        names->attributes[names->n_attributes++] = graph.attributes[i];
         graph.attributes[i] = NULL;
     }
+    for (int i = 0; status == HG_OK && i < graph.n_frames; i++) {
+        names->frame_width[names->n_frames] = graph.frame_width[i];
+        names->frames[names->n_frames++] = graph.frames[i];
+        graph.frames[i] = NULL;
+    }
     hg_graph_free(&graph);
+    return status;
+}
+
+void hg_formula_names_free(hg_formula_names *names)
+{
+    for (int i = 0; i < names->n_attributes; i++) hg_free(names->attributes[i]);
+    for (int i = 0; i < names->n_frames; i++) hg_free(names->frames[i]);
+    *names = (hg_formula_names){ 0 };
+}
+
+hg_status hg_formula_inputs(hg_scalar (*formula)(void), const hg_trace_scope *scope, uint32_t *kinds, int *n_attributes,
+                            char *attributes[8])
+{
+    hg_formula_names names;
+    hg_status status = hg_formula_reads(formula, scope, &names);
+    *kinds = names.kinds;
+    *n_attributes = names.n_attributes;
+    for (int i = 0; i < names.n_attributes; i++) attributes[i] = names.attributes[i];
+    names.n_attributes = 0;
+    hg_formula_names_free(&names);
     return status;
 }

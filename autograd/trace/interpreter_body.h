@@ -187,55 +187,98 @@ static void NAME(transpose_out)(REAL *rows, const REAL *tile, int64_t width, int
         }
 }
 
+/* The steps of one vertex: everything that goes along with it is put there. */
+static void NAME(at_vertex)(const hg_strand_program *p, const hg_steps *steps, REAL **base, REAL *scratch,
+                            const REAL *sites, int64_t V, int64_t i)
+{
+#define TILE(tile) (scratch + ((tile).rows * V + (tile).extra) * LANES)
+    for (int k = 0; k < p->n_arrays; k++) {
+        const hg_strand_input *array = &p->arrays[k];
+        base[HG_PLACE_ARRAY + k] = TILE(array->tile) + i * array->width * LANES;
+        base[HG_PLACE_ARRAY_GRADIENT + k] = TILE(array->gradient_tile) + i * array->width * LANES;
+    }
+    base[HG_PLACE_SITE] = (REAL *)sites + i * p->n_site * LANES;
+    base[HG_PLACE_CARRY] = TILE(p->carry_tile) + i * p->n_carry * LANES;
+    base[HG_PLACE_CARRY_ADJOINT] = TILE(p->carry_adjoint_tile) + i * p->n_carry * LANES;
+    NAME(hg_steps_run)(steps, base);
+}
+
 static void NAME(interpret)(const hg_strand_program *p, const hg_strand_args *args, int64_t first, int64_t last,
                             REAL *scratch)
 {
-    const int64_t V = args->vertices, S = args->strands, width = 3 * V, row = width * LANES;
-    REAL *tile[HG_STRAND_ARRAYS] = { 0 }, *base[HG_PLACES];
-    for (int k = 0; k < HG_STRAND_ARRAYS; k++)
-        if (k == HG_STRAND_X || p->arrays & 1u << k) {
-            tile[k] = scratch;
-            scratch += row;
-        }
-    REAL *gradient = scratch, *root = gradient + row, *energy = root + 7 * LANES,
-         *adjoint = energy + p->n_terms * LANES, *strand = adjoint + p->n_adjoint * LANES,
-         *slots = strand + p->n_strand * LANES;
+    const int64_t V = args->vertices, S = args->strands, second = V > 1 ? 3 * LANES : 0;
+    REAL *base[HG_PLACES];
+    REAL *inputs = TILE(p->tiles), *input_gradients = inputs + p->input_width * LANES,
+         *energy = input_gradients + p->input_width * LANES, *adjoint = energy + p->n_terms * LANES,
+         *strand = adjoint + p->n_adjoint * LANES, *slots = strand + p->n_strand * LANES;
     for (int k = 0; k < HG_PLACES; k++) base[k] = slots;
     base[HG_PLACE_NUMBER] = (REAL *)p->number_table;
     base[HG_PLACE_UNIFORM] = (REAL *)args->uniform;
-    base[HG_PLACE_ROOT] = root;
+    base[HG_PLACE_STRAND_INPUT] = inputs;
+    base[HG_PLACE_STRAND_INPUT_GRADIENT] = input_gradients;
     base[HG_PLACE_ENERGY] = energy;
     base[HG_PLACE_ADJOINT] = adjoint;
     base[HG_PLACE_STRAND] = strand;
-    base[HG_PLACE_ROOT_X0] = tile[HG_STRAND_X];
-    base[HG_PLACE_ROOT_X1] = tile[HG_STRAND_X] + (V > 1 ? 3 * LANES : 0);
-    base[HG_PLACE_GRADIENT0] = gradient;
-    base[HG_PLACE_GRADIENT1] = gradient + (V > 1 ? 3 * LANES : 0);
+    for (int k = 0; k < p->n_arrays; k++) {
+        const hg_strand_input *array = &p->arrays[k];
+        const int rest = array->kind == HG_INPUT_REST;
+        if (!rest && array->kind != HG_INPUT_X) continue;
+        base[rest ? HG_PLACE_ROOT_REST0 : HG_PLACE_ROOT_X0] = TILE(array->tile);
+        base[rest ? HG_PLACE_ROOT_REST1 : HG_PLACE_ROOT_X1] = TILE(array->tile) + second;
+        base[rest ? HG_PLACE_GRADIENT_REST0 : HG_PLACE_GRADIENT_X0] = TILE(array->gradient_tile);
+        base[rest ? HG_PLACE_GRADIENT_REST1 : HG_PLACE_GRADIENT_X1] = TILE(array->gradient_tile) + second;
+    }
 
     for (int64_t t = first; t < last; t++) {
         const int64_t frame = t / args->tiles, in_frame = t % args->tiles, s = in_frame * LANES;
         const int64_t count = S - s < LANES ? S - s : LANES, groom = args->groom ? args->groom[frame] : 0;
         const int64_t stored = groom * args->tiles + in_frame, at = frame * S + s;
-        for (int k = 0; k < HG_STRAND_ARRAYS; k++)
-            if (tile[k]) NAME(transpose_in)(tile[k], (const REAL *)args->array[k] + at * width, width, count);
-        if (args->root_rotation) NAME(transpose_in)(root, (const REAL *)args->root_rotation + 4 * at, 4, count);
-        if (args->root_position)
-            NAME(transpose_in)(root + 4 * LANES, (const REAL *)args->root_position + 3 * at, 3, count);
+        const REAL *sites = (const REAL *)args->site + stored * V * p->n_site * LANES;
+        for (int k = 0; k < p->n_arrays; k++) {
+            const hg_strand_input *array = &p->arrays[k];
+            const int64_t width = array->width * (V - array->missing), row = array->rest ? groom * S + s : at;
+            NAME(transpose_in)(TILE(array->tile), (const REAL *)args->array[k] + row * width, width, count);
+            if (p->n_carry && array->gradient) /* on the way back no site is the first to touch a vertex */
+                memset(TILE(array->gradient_tile), 0, (size_t)(width * LANES) * sizeof(REAL));
+        }
+        for (int j = 0; j < p->n_inputs; j++) {
+            const hg_strand_input *input = &p->inputs[j];
+            if (args->strand_input[j])
+                NAME(transpose_in)
+                (inputs + input->first * LANES, (const REAL *)args->strand_input[j] + input->width * at, input->width,
+                 count);
+        }
         memset(energy, 0, (size_t)((p->n_terms + p->n_adjoint) * LANES) * sizeof(REAL));
         base[HG_PLACE_GROOM_STRAND] = (REAL *)args->groom_strand + stored * p->n_groom_strand * LANES;
 
         NAME(hg_steps_run)(&p->steps[HG_STRAND_BODIES], base);
-        for (int64_t i = 0; i < V; i++) {
-            const int64_t vertex = 3 * i * LANES;
-            for (int k = 0; k < HG_STRAND_ARRAYS; k++)
-                if (tile[k]) base[HG_PLACE_X + k] = tile[k] + vertex;
-            base[HG_PLACE_GRADIENT] = gradient + vertex;
-            base[HG_PLACE_SITE] = (REAL *)args->site + (stored * V + i) * p->n_site * LANES;
-            NAME(hg_steps_run)(&p->steps[i < p->bodies ? i : p->bodies - 1], base);
+        if (p->n_carry) {
+            const int64_t end = V * p->n_carry * LANES;
+            for (int64_t i = 0; i < V; i++)
+                NAME(at_vertex)(p, &p->forward_steps[i < p->bodies ? i : p->bodies - 1], base, scratch, sites, V, i);
+            memset(TILE(p->carry_adjoint_tile) + end, 0, (size_t)(p->n_carry * LANES) * sizeof(REAL));
+            for (int64_t i = V - 1; i >= 0; i--)
+                NAME(at_vertex)(p, &p->steps[i < p->bodies ? i : p->bodies - 1], base, scratch, sites, V, i);
+        } else {
+            for (int64_t i = 0; i < V; i++)
+                NAME(at_vertex)(p, &p->steps[i < p->bodies ? i : p->bodies - 1], base, scratch, sites, V, i);
         }
         NAME(hg_steps_run)(&p->steps[HG_STRAND_BODIES + 1], base);
 
-        if (args->gradient) NAME(transpose_out)((REAL *)args->gradient + at * width, gradient, width, count);
+        for (int k = 0; k < p->n_arrays; k++) {
+            const hg_strand_input *array = &p->arrays[k];
+            const int64_t width = array->width * (V - array->missing);
+            if (array->gradient && args->array_gradient[k])
+                NAME(transpose_out)
+                ((REAL *)args->array_gradient[k] + at * width, TILE(array->gradient_tile), width, count);
+        }
+        for (int j = 0; j < p->n_inputs; j++) {
+            const hg_strand_input *input = &p->inputs[j];
+            if (input->gradient && args->strand_input_gradient[j])
+                NAME(transpose_out)
+                ((REAL *)args->strand_input_gradient[j] + input->width * at, input_gradients + input->first * LANES,
+                 input->width, count);
+        }
         for (int k = 0; k < p->n_terms; k++) {
             double sum = 0;
             for (int64_t l = 0; l < count; l++) sum += (double)energy[k * LANES + l];
@@ -247,6 +290,7 @@ static void NAME(interpret)(const hg_strand_program *p, const hg_strand_args *ar
     }
 }
 
+#undef TILE
 #undef EACH
 #undef BINARY
 #undef UNARY

@@ -11,13 +11,31 @@ typedef struct {
     const hg_instruction *defined[INT16_MAX + 1]; /* of the list being printed */
 } printer;
 
-static const char *const array_names[HG_STRAND_ARRAYS] = { "x",        "posed",         "predicted",
-                                                           "previous", "contact_point", "contact_normal" };
+/* Names of an array and its gradient in the printed code; standard inputs by their own, others by number. */
+static void array_name(const printer *p, int k, bool gradient, char name[40])
+{
+    const hg_strand_input *array = &p->program->arrays[k];
+    char own[24];
+    if (array->kind == HG_INPUT_ATTRIBUTE || array->kind == HG_INPUT_FRAME)
+        snprintf(own, sizeof own, "array_%d", k);
+    else
+        snprintf(own, sizeof own, "%s", hg_input_name(array->kind));
+    snprintf(name, 40, gradient ? "gradient_%s" : "%s", own);
+}
 
 /* all: as a vector even where it is the same for all lanes */
 static void operand(printer *p, hg_operand o, bool all)
 {
     hg_text *text = p->text;
+    const hg_strand_program *program = p->program;
+    if (o.place >= HG_PLACE_ARRAY) {
+        const bool gradient = o.place >= HG_PLACE_ARRAY_GRADIENT;
+        const int k = o.place - (gradient ? HG_PLACE_ARRAY_GRADIENT : HG_PLACE_ARRAY);
+        char name[40];
+        array_name(p, k, gradient, name);
+        hg_text_add(text, "%s[%d]", name, program->arrays[k].width * o.offset + o.index);
+        return;
+    }
     switch (o.place) {
     case HG_PLACE_REGISTER:
         hg_text_add(text, "r%d", o.index);
@@ -48,26 +66,33 @@ static void operand(printer *p, hg_operand o, bool all)
     case HG_PLACE_ENERGY:
         hg_text_add(text, "energy[%d]", o.index);
         return;
-    case HG_PLACE_ROOT:
-        hg_text_add(text, "root[%d]", o.index);
+    case HG_PLACE_STRAND_INPUT:
+        hg_text_add(text, "input[%d]", o.index);
+        return;
+    case HG_PLACE_STRAND_INPUT_GRADIENT:
+        hg_text_add(text, "input_gradient[%d]", o.index);
         return;
     case HG_PLACE_ROOT_X0:
-        hg_text_add(text, "tile_x[%d]", o.index);
+    case HG_PLACE_ROOT_REST0:
+        hg_text_add(text, "tile_%s[%d]", o.place == HG_PLACE_ROOT_X0 ? "x" : "rest", o.index);
         return;
     case HG_PLACE_ROOT_X1:
-        hg_text_add(text, "tile_x[second + %d]", o.index);
+    case HG_PLACE_ROOT_REST1:
+        hg_text_add(text, "tile_%s[second + %d]", o.place == HG_PLACE_ROOT_X1 ? "x" : "rest", o.index);
         return;
-    case HG_PLACE_GRADIENT:
-        hg_text_add(text, "g[%d]", 3 * o.offset + o.index);
+    case HG_PLACE_GRADIENT_X0:
+    case HG_PLACE_GRADIENT_REST0:
+        hg_text_add(text, "tile_gradient_%s[%d]", o.place == HG_PLACE_GRADIENT_X0 ? "x" : "rest", o.index);
         return;
-    case HG_PLACE_GRADIENT0:
-        hg_text_add(text, "gradient[%d]", o.index);
+    case HG_PLACE_GRADIENT_X1:
+    case HG_PLACE_GRADIENT_REST1:
+        hg_text_add(text, "tile_gradient_%s[second + %d]", o.place == HG_PLACE_GRADIENT_X1 ? "x" : "rest", o.index);
         return;
-    case HG_PLACE_GRADIENT1:
-        hg_text_add(text, "gradient[second + %d]", o.index);
+    case HG_PLACE_CARRY:
+        hg_text_add(text, "carry[%d]", program->n_carry * o.offset + o.index);
         return;
     default:
-        hg_text_add(text, "%s[%d]", array_names[o.place - HG_PLACE_X], 3 * o.offset + o.index);
+        hg_text_add(text, "carry_adjoint[%d]", program->n_carry * o.offset + o.index);
         return;
     }
 }
@@ -191,18 +216,138 @@ static bool touches(const hg_code *code, int place)
     return false;
 }
 
-static void body(printer *p, int number, const char *indent)
+static void vertex(printer *p, const hg_code *code, const char *indent)
 {
     const hg_strand_program *program = p->program;
-    const hg_code *code = &program->body[number];
     hg_text *text = p->text;
-    for (int k = 0; k < HG_STRAND_ARRAYS; k++)
-        if (touches(code, HG_PLACE_X + k))
-            hg_text_add(text, "%sconst hg_v *restrict %s = tile_%s + 3 * i;\n", indent, array_names[k], array_names[k]);
+    for (int k = 0; k < program->n_arrays; k++)
+        for (int gradient = 0; gradient < 2; gradient++) {
+            char name[40];
+            array_name(p, k, gradient, name);
+            if (touches(code, (gradient ? HG_PLACE_ARRAY_GRADIENT : HG_PLACE_ARRAY) + k))
+                hg_text_add(text, "%s%shg_v *restrict %s = tile_%s + %d * i;\n", indent, gradient ? "" : "const ", name,
+                            name, program->arrays[k].width);
+        }
     if (touches(code, HG_PLACE_SITE))
         hg_text_add(text, "%sconst hg_v *restrict site = sites + i * %d;\n", indent, program->n_site);
-    hg_text_add(text, "%shg_v *restrict g = gradient + 3 * i;\n", indent);
+    if (touches(code, HG_PLACE_CARRY))
+        hg_text_add(text, "%shg_v *restrict carry = tile_carry + i * %d;\n", indent, program->n_carry);
+    if (touches(code, HG_PLACE_CARRY_ADJOINT))
+        hg_text_add(text, "%shg_v *restrict carry_adjoint = tile_carry_adjoint + i * %d;\n", indent, program->n_carry);
     list(p, code, indent);
+}
+
+/* One list per body: the first ones once, the last for every vertex from there on; back: from tip to root. */
+static void walk(printer *p, const hg_code *bodies, bool back)
+{
+    const int last = p->program->bodies - 1;
+    hg_text *text = p->text;
+    for (int n = 0; n <= last; n++) {
+        const int b = back ? last - n : n;
+        if (bodies[b].n == 0) continue;
+        if (b < last)
+            hg_text_add(text, "        if (V > %d) {\n            const int64_t i = %d;\n", b, b);
+        else if (back)
+            hg_text_add(text, "        for (int64_t i = V - 1; i >= %d; i--) {\n", b);
+        else
+            hg_text_add(text, "        for (int64_t i = %d; i < V; i++) {\n", b);
+        vertex(p, &bodies[b], "            ");
+        hg_text_add(text, "        }\n");
+    }
+}
+
+static void tile(printer *p, const char *name, hg_strand_tile at)
+{
+    hg_text_add(p->text, "    hg_v *restrict tile_%s = (hg_v *)scratch + (%d * V + %d);\n", name, at.rows, at.extra);
+}
+
+/* "width * rows of V vertices" */
+static void size(printer *p, const hg_strand_input *array)
+{
+    hg_text_add(p->text, array->missing ? "%d * (V - %d)" : "%d * V", array->width, array->missing);
+}
+
+static void load(printer *p)
+{
+    const hg_strand_program *program = p->program;
+    hg_text *text = p->text;
+    char name[40];
+    for (int k = 0; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        array_name(p, k, false, name);
+        hg_text_add(text, "        hg_v_load_tile(tile_%s, (const hg_real *)args->array[%d] + %s * (", name, k,
+                    array->rest ? "in_groom" : "at");
+        size(p, array);
+        hg_text_add(text, "), ");
+        size(p, array);
+        hg_text_add(text, ", count);\n");
+        if (!program->n_carry || !array->gradient) continue;
+        hg_text_add(text, "        for (int64_t k = 0; k < "); /* on the way back no site is the first at a vertex */
+        size(p, array);
+        hg_text_add(text, "; k++) tile_gradient_%s[k] = hg_v_all(0);\n", name);
+    }
+}
+
+static void store(printer *p)
+{
+    const hg_strand_program *program = p->program;
+    hg_text *text = p->text;
+    char name[40];
+    for (int k = 0; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        if (!array->gradient) continue;
+        array_name(p, k, true, name);
+        hg_text_add(text,
+                    "        if (args->array_gradient[%d])\n"
+                    "            hg_v_store_tile((hg_real *)args->array_gradient[%d] + at * (",
+                    k, k);
+        size(p, array);
+        hg_text_add(text, "), tile_%s, ", name);
+        size(p, array);
+        hg_text_add(text, ", count);\n");
+    }
+    for (int j = 0; j < program->n_inputs; j++) {
+        const hg_strand_input *input = &program->inputs[j];
+        if (!input->gradient) continue;
+        hg_text_add(
+            text,
+            "        if (args->strand_input_gradient[%d])\n"
+            "            hg_v_store_tile((hg_real *)args->strand_input_gradient[%d] + at * %d, input_gradient + "
+            "%d, %d, count);\n",
+            j, j, input->width, input->first, input->width);
+    }
+    hg_text_add(text, "        hg_v_store_energy(args, t, at, count, energy, %d);\n", program->n_terms);
+}
+
+static bool touches_input(const hg_code *code, const hg_strand_input *input)
+{
+    for (int i = 0; i < code->n; i++) {
+        const hg_operand from[3] = { code->instructions[i].a, code->instructions[i].b, code->instructions[i].c };
+        for (int k = 0; k < 3; k++)
+            if (from[k].place == HG_PLACE_STRAND_INPUT && from[k].index >= input->first &&
+                from[k].index < input->first + input->width)
+                return true;
+    }
+    return false;
+}
+
+static void preamble(printer *p)
+{
+    const hg_strand_program *program = p->program;
+    hg_text *text = p->text;
+    hg_text_add(text, "        {\n");
+    if (touches(&program->preamble, HG_PLACE_STRAND_INPUT))
+        hg_text_add(text, "            hg_v input[%d];\n", program->input_width);
+    for (int j = 0; j < program->n_inputs; j++) {
+        const hg_strand_input *input = &program->inputs[j];
+        if (touches_input(&program->preamble, input))
+            hg_text_add(text,
+                        "            hg_v_load_tile(input + %d, (const hg_real *)args->strand_input[%d] + %d * at, %d, "
+                        "count);\n",
+                        input->first, j, input->width, input->width);
+    }
+    list(p, &program->preamble, "            ");
+    hg_text_add(text, "        }\n");
 }
 
 void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_text *text)
@@ -214,25 +359,38 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     }
     p->program = program;
     p->text = text;
-    const bool second =
-        touches(&program->preamble, HG_PLACE_ROOT_X1) || touches(&program->postamble, HG_PLACE_GRADIENT1);
-    const uint32_t arrays = program->arrays | 1u << HG_STRAND_X;
+    bool second = false, rest = program->n_site || program->n_groom_strand;
+    for (int place = HG_PLACE_ROOT_X0; place <= HG_PLACE_ROOT_REST1; place++)
+        second |= (place == HG_PLACE_ROOT_X1 || place == HG_PLACE_ROOT_REST1) && touches(&program->preamble, place);
+    second |=
+        touches(&program->postamble, HG_PLACE_GRADIENT_X1) || touches(&program->postamble, HG_PLACE_GRADIENT_REST1);
+    bool rest_array = false;
+    for (int k = 0; k < program->n_arrays; k++) rest_array |= program->arrays[k].rest;
+    bool input_gradient = false;
+    for (int j = 0; j < program->n_inputs; j++) input_gradient |= program->inputs[j].gradient;
 
     hg_text_add(text, "static void %s(const hg_strand_args *args, int64_t first, int64_t last, void *scratch)\n{\n",
                 name);
-    hg_text_add(text, "    const int64_t V = args->vertices, S = args->strands, width = 3 * V;\n");
+    hg_text_add(text, "    const int64_t V = args->vertices, S = args->strands;\n");
     if (program->n_uniform) hg_text_add(text, "    const hg_real *restrict u = args->uniform;\n");
     if (second) hg_text_add(text, "    const int64_t second = V > 1 ? 3 : 0;\n");
-    hg_text_add(text, "    hg_v *restrict gradient = scratch;\n");
-    for (int k = 0, n = 1; k < HG_STRAND_ARRAYS; k++)
-        if (arrays >> k & 1)
-            hg_text_add(text, "    hg_v *restrict tile_%s = (hg_v *)scratch + %d * width;\n", array_names[k], n++);
+    for (int k = 0; k < program->n_arrays; k++) {
+        char own[40];
+        array_name(p, k, true, own);
+        if (program->arrays[k].gradient) tile(p, own, program->arrays[k].gradient_tile);
+        array_name(p, k, false, own);
+        tile(p, own, program->arrays[k].tile);
+    }
+    if (program->n_carry) {
+        tile(p, "carry", program->carry_tile);
+        tile(p, "carry_adjoint", program->carry_adjoint_tile);
+    }
     hg_text_add(text, "    for (int64_t t = first; t < last; t++) {\n"
                       "        const int64_t frame = t / args->tiles, s = t %% args->tiles * HG_LANES;\n"
                       "        const int64_t count = S - s < HG_LANES ? S - s : HG_LANES, at = frame * S + s;\n");
-    if (program->n_site || program->n_groom_strand)
-        hg_text_add(text, "        const int64_t stored = (args->groom ? args->groom[frame] : 0) * args->tiles + t %% "
-                          "args->tiles;\n");
+    if (rest || rest_array) hg_text_add(text, "        const int64_t groom = args->groom ? args->groom[frame] : 0;\n");
+    if (rest) hg_text_add(text, "        const int64_t stored = groom * args->tiles + t %% args->tiles;\n");
+    if (rest_array) hg_text_add(text, "        const int64_t in_groom = groom * S + s;\n");
     if (program->n_site)
         hg_text_add(text, "        const hg_v *restrict sites = (const hg_v *)args->site + stored * V * %d;\n",
                     program->n_site);
@@ -240,37 +398,24 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
         hg_text_add(text,
                     "        const hg_v *restrict groom_strand = (const hg_v *)args->groom_strand + stored * %d;\n",
                     program->n_groom_strand);
-    for (int k = 0; k < HG_STRAND_ARRAYS; k++)
-        if (arrays >> k & 1)
-            hg_text_add(
-                text, "        hg_v_load_tile(tile_%s, (const hg_real *)args->array[%d] + at * width, width, count);\n",
-                array_names[k], k);
+    load(p);
     hg_text_add(text, "        hg_v energy[%d] = { 0 };\n", program->n_terms);
     if (program->n_adjoint) hg_text_add(text, "        hg_v adjoint[%d] = { 0 };\n", program->n_adjoint);
     if (program->n_strand) hg_text_add(text, "        hg_v strand[%d];\n", program->n_strand);
-    hg_text_add(text, "        {\n");
-    if (touches(&program->preamble, HG_PLACE_ROOT))
-        hg_text_add(text,
-                    "            hg_v root[7];\n"
-                    "            hg_v_load_tile(root, (const hg_real *)args->root_rotation + 4 * at, 4, count);\n"
-                    "            hg_v_load_tile(root + 4, (const hg_real *)args->root_position + 3 * at, 3, count);\n");
-    list(p, &program->preamble, "            ");
-    hg_text_add(text, "        }\n");
-    for (int b = 0; b < program->bodies; b++) {
-        if (b + 1 < program->bodies)
-            hg_text_add(text, "        if (V > %d) {\n            const int64_t i = %d;\n", b, b);
-        else
-            hg_text_add(text, "        for (int64_t i = %d; i < V; i++) {\n", b);
-        body(p, b, "            ");
-        hg_text_add(text, "        }\n");
+    if (input_gradient) hg_text_add(text, "        hg_v input_gradient[%d];\n", program->input_width);
+    preamble(p);
+    if (program->n_carry) {
+        walk(p, program->forward, false);
+        hg_text_add(text, "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(0);\n",
+                    program->n_carry, program->n_carry);
+        walk(p, program->body, true);
+    } else {
+        walk(p, program->body, false);
     }
     hg_text_add(text, "        {\n");
     list(p, &program->postamble, "            ");
-    hg_text_add(text,
-                "        }\n"
-                "        if (args->gradient)\n"
-                "            hg_v_store_tile((hg_real *)args->gradient + at * width, gradient, width, count);\n"
-                "        hg_v_store_energy(args, t, at, count, energy, %d);\n    }\n}\n",
-                program->n_terms);
+    hg_text_add(text, "        }\n");
+    store(p);
+    hg_text_add(text, "    }\n}\n");
     hg_free(p);
 }

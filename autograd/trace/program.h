@@ -41,7 +41,12 @@ typedef enum {
     HG_INPUT_PARAM,  /* `name`: the param's number; `term`: whose */
     HG_INPUT_WEIGHT, /* of `term` */
     HG_INPUT_DT,
-    HG_INPUT_ADJOINT, /* `name`: number of a strand value whose adjoints were summed over the sites */
+    HG_INPUT_ADJOINT,       /* `name`: number of a strand value whose adjoints were summed over the sites */
+    HG_INPUT_Q,             /* of the edge whose first vertex is `offset`, component 0..3: w x y z */
+    HG_INPUT_FRAME,         /* a named array of the frame; `name`: number in the graph's table of their names */
+    HG_INPUT_CARRY,         /* what the site before kept; `name`: number in the graph's table of carried values */
+    HG_INPUT_REST_CARRY,    /* the same, of rest data alone */
+    HG_INPUT_CARRY_ADJOINT, /* the adjoint of what this site keeps */
     HG_INPUT_KINDS
 } hg_input_kind;
 
@@ -59,7 +64,7 @@ typedef struct {
      HG_ALLOW(HG_INPUT_PREDICTED) | HG_ALLOW(HG_INPUT_PREVIOUS) | HG_ALLOW(HG_INPUT_CONTACT_POINT) |                   \
      HG_ALLOW(HG_INPUT_CONTACT_NORMAL) | HG_ALLOW(HG_INPUT_ROOT_X) | HG_ALLOW(HG_INPUT_ROOT_REST) |                    \
      HG_ALLOW(HG_INPUT_ROOT_ROTATION) | HG_ALLOW(HG_INPUT_ROOT_POSITION) | HG_ALLOW(HG_INPUT_MASS) |                   \
-     HG_ALLOW(HG_INPUT_ATTRIBUTE))
+     HG_ALLOW(HG_INPUT_ATTRIBUTE) | HG_ALLOW(HG_INPUT_Q) | HG_ALLOW(HG_INPUT_FRAME) | HG_ALLOW(HG_INPUT_CARRY))
 #define HG_ALLOW_PAIRS                                                                                                 \
     (HG_ALLOW_SHARED | HG_ALLOW(HG_INPUT_DISTANCE) | HG_ALLOW(HG_INPUT_REST_DISTANCE) | HG_ALLOW(HG_INPUT_MASS) |      \
      HG_ALLOW(HG_INPUT_ATTRIBUTE))
@@ -79,8 +84,21 @@ typedef struct {
     int n_params, n_options;
     const char *params[HG_SCOPE_PARAMS];                               /* "stiffness", "g.x" */
     const char *options[HG_SCOPE_OPTIONS], *choices[HG_SCOPE_OPTIONS]; /* and what was chosen */
-    bool posed_given; /* posed is an input; otherwise made of rest and the root frame */
+    bool posed_given;  /* posed is an input; otherwise made of rest and the root frame */
+    bool root_at_rest; /* the root position is the rest root, whoever brings rest */
+    bool first_site;   /* of a strand: what is carried is what carry() calls `first` */
 } hg_trace_scope;
+
+/* An input that a call brings in the place of what the groom or the term says, or that a gradient is wanted of. It is not
+ * hoisted: REST, MASS and ATTRIBUTE change with the site, PARAM and DT with the strand. */
+typedef struct {
+    hg_input_kind
+        kind; /* REST, MASS, ATTRIBUTE, POSED, PREDICTED, PREVIOUS, ROOT_ROTATION, ROOT_POSITION, Q, FRAME, PARAM, DT */
+    int term, param;  /* PARAM */
+    const char *name; /* ATTRIBUTE, FRAME */
+    bool gradient;
+} hg_given;
+#define HG_GIVEN 32
 
 /* ---- functions over lanes ----------------------------------------------------------------------------------- */
 
@@ -99,6 +117,16 @@ void hg_function_destroy(hg_function *function);
  * is). out[j]: [n], NULL where not wanted. Thread-safe, allocates nothing; every lane is independent of n. */
 void hg_function_run(const hg_function *function, hg_dtype dtype, int64_t n, const void *const *in,
                      const double *uniform, void *const *out);
+/* What a formula asks for, by name. */
+#define HG_FORMULA_NAMES 8
+typedef struct {
+    uint32_t kinds; /* HG_ALLOW(kind) */
+    int n_attributes, n_frames;
+    char *attributes[HG_FORMULA_NAMES], *frames[HG_FORMULA_NAMES]; /* of the groom; of the frame */
+    int frame_width[HG_FORMULA_NAMES];
+} hg_formula_names;
+hg_status hg_formula_reads(hg_scalar (*formula)(void), const hg_trace_scope *scope, hg_formula_names *names);
+void hg_formula_names_free(hg_formula_names *names);
 /* What a formula asks for, to know what to bring: a mask of HG_ALLOW(kind), and the names of its groom attributes (at
  * most 8; each is the caller's, freed with hg_free). */
 hg_status hg_formula_inputs(hg_scalar (*formula)(void), const hg_trace_scope *scope, uint32_t *kinds, int *n_attributes,

@@ -6,7 +6,11 @@
  *
  * By how often it changes, a value is computed once per call (`uniform`), once per groom and strand or site
  * (`groom_strand`, `site`: stored), once per strand (`preamble`), or at the site. The adjoints of strand values are
- * summed over the sites and chained once (`postamble`). */
+ * summed over the sites and chained once (`postamble`).
+ *
+ * A formula that carries values has its first site in a body of its own, where what is carried is known. The forward lists
+ * make the carried values from root to tip; then the bodies run from tip to root, each with the adjoint of what it kept.
+ * Rest data that is carried is made once per groom (`rest_first`, `rest_kept`) and is a rest value like any other. */
 #ifndef HG_TRACE_STRAND_H
 #define HG_TRACE_STRAND_H
 
@@ -22,24 +26,26 @@ typedef enum {
     HG_PLACE_UNIFORM,  /* once per call; the same for all lanes */
     HG_PLACE_IN,       /* function: input */
     HG_PLACE_OUT,      /* function: output */
-    HG_PLACE_X,        /* the arrays of the frame: vertex i + offset, component index */
-    HG_PLACE_POSED,
-    HG_PLACE_PREDICTED,
-    HG_PLACE_PREVIOUS,
-    HG_PLACE_CONTACT_POINT,
-    HG_PLACE_CONTACT_NORMAL,
-    HG_PLACE_ROOT_X0,
+    HG_PLACE_ROOT_X0,  /* vertices 0 and 1 of x, and of rest where it is an array */
     HG_PLACE_ROOT_X1,
-    HG_PLACE_ROOT,         /* 0..3 rotation, 4..6 position */
+    HG_PLACE_ROOT_REST0,
+    HG_PLACE_ROOT_REST1,
+    HG_PLACE_STRAND_INPUT, /* 0..3 rotation, 4..6 position, then what the call gives */
+    HG_PLACE_STRAND_INPUT_GRADIENT,
     HG_PLACE_SITE,         /* stored value of vertex i + offset */
     HG_PLACE_GROOM_STRAND, /* stored value of the strand */
     HG_PLACE_STRAND,       /* left by the preamble */
     HG_PLACE_ADJOINT,      /* sums over the sites */
-    HG_PLACE_GRADIENT,     /* of vertex i + offset */
-    HG_PLACE_GRADIENT0,
-    HG_PLACE_GRADIENT1,
-    HG_PLACE_ENERGY, /* of term index */
-    HG_PLACES
+    HG_PLACE_GRADIENT_X0,  /* of what ROOT_X0 .. ROOT_REST1 read */
+    HG_PLACE_GRADIENT_X1,
+    HG_PLACE_GRADIENT_REST0,
+    HG_PLACE_GRADIENT_REST1,
+    HG_PLACE_ENERGY,        /* of term index */
+    HG_PLACE_CARRY,         /* offset 0: what comes into the site; 1: what it keeps */
+    HG_PLACE_CARRY_ADJOINT, /* of the same */
+    HG_PLACE_ARRAY,         /* array k: vertex i + offset, component index */
+    HG_PLACE_ARRAY_GRADIENT = HG_PLACE_ARRAY + HG_STRAND_ARRAYS,
+    HG_PLACES = HG_PLACE_ARRAY_GRADIENT + HG_STRAND_ARRAYS
 } hg_where;
 
 typedef struct {
@@ -108,26 +114,54 @@ typedef struct {
     hg_scalar (*root)(void); /* NULL: none */
 } hg_strand_term;
 
+/* Where a tile's array begins in the scratch: rows V + extra vectors. */
+typedef struct {
+    int rows, extra;
+} hg_strand_tile;
+
+/* Something that a kernel reads, by vertex or by strand. */
+typedef struct {
+    hg_input_kind kind;
+    int name, term; /* ATTRIBUTE, FRAME: number of the name; PARAM: number of the param, and whose */
+    int width;
+    int first;   /* strand input: number of its first component */
+    int missing; /* array: rows that it has fewer than vertices (q: 1) */
+    bool rest;   /* array: [G,S,V,width], not [B,S,V,width] */
+    bool gradient;
+    hg_strand_tile tile, gradient_tile; /* array */
+} hg_strand_input;
+
 typedef struct {
     int n_terms, bodies;
     int n_uniform, n_site, n_groom_strand, n_strand, n_adjoint;
     hg_function *uniform, *site, *groom_strand; /* how they are made; NULL when there are none */
     hg_code preamble, body[HG_STRAND_BODIES], postamble;
+    hg_code forward[HG_STRAND_BODIES]; /* what the site keeps, n_carry > 0 */
     hg_numbers numbers;
-    uint32_t arrays; /* bit HG_STRAND_*: read by a body */
-    uint32_t *used;  /* [n_terms] HG_ALLOW(kind) of what each term asks for */
-    char *attributes[HG_GRAPH_ATTRIBUTES];
-    int *attribute_term; /* which term asked first */
-    int n_attributes;
+    hg_strand_input arrays[HG_STRAND_ARRAYS], inputs[HG_STRAND_INPUTS]; /* inputs: rotation and position first */
+    int n_arrays, n_inputs, input_width;                                /* input_width: components of all inputs */
+    int n_carry;                                                        /* components; rows 0 .. V of the tiles */
+    hg_strand_tile carry_tile, carry_adjoint_tile, tiles;               /* tiles: the size of all */
+    /* carried rest data: n_rest_carry components; values at the vertex where its energy's first site ends, and on */
+    hg_function *rest_first, *rest_kept;
+    int n_rest_carry, n_rest_carries;
+    struct {
+        int at, width, start;
+    } rest_carries[HG_GRAPH_CARRIES];
+    uint32_t *used; /* [n_terms] HG_ALLOW(kind) of what each term asks for */
+    char *attributes[HG_GRAPH_ATTRIBUTES], *frames[HG_GRAPH_ATTRIBUTES];
+    int *attribute_term, *frame_term; /* which term asked first */
+    int n_attributes, n_frames;
     uint64_t hash; /* of everything that a kernel depends on */
     /* the interpreter's */
     hg_dtype dtype;
-    hg_steps steps[HG_STRAND_BODIES + 2];
+    hg_steps steps[HG_STRAND_BODIES + 2], forward_steps[HG_STRAND_BODIES];
     void *number_table;
 } hg_strand_program;
 
+/* given: inputs that the call brings, or that a gradient is wanted of. x always has one. */
 hg_status hg_strand_program_create(hg_strand_program **program, hg_dtype dtype, int n_terms,
-                                   const hg_strand_term *terms, bool hoist);
+                                   const hg_strand_term *terms, int n_given, const hg_given *given, bool hoist);
 void hg_strand_program_destroy(hg_strand_program *program);
 int hg_strand_lanes(hg_dtype dtype); /* of the interpreter */
 size_t hg_strand_scratch(const hg_strand_program *program, int lanes,

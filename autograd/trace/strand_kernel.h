@@ -1,7 +1,8 @@
 /* strand_kernel (private): what a strand kernel is given, whoever made it: the interpreter or printed C.
  *
  * A tile is `lanes` strands of one frame, a SIMD lane per strand. Its arrays are transposed to [V,3,lanes] in scratch that
- * stays in the cache, the sites are walked from root to tip, and the gradient is accumulated there and written once.
+ * stays in the cache, the sites are walked from root to tip, and the gradient is accumulated there and written once. Where
+ * values are carried from site to site, a first walk from root to tip makes them and the second goes back.
  * This header stands alone: printed C needs nothing else. */
 #ifndef HG_STRAND_KERNEL_H
 #define HG_STRAND_KERNEL_H
@@ -9,29 +10,21 @@
 #include <stddef.h>
 #include <stdint.h>
 
-/* The arrays [B,S,V,3] that a frame may bring. */
-enum {
-    HG_STRAND_X,
-    HG_STRAND_POSED,
-    HG_STRAND_PREDICTED,
-    HG_STRAND_PREVIOUS,
-    HG_STRAND_CONTACT_POINT,
-    HG_STRAND_CONTACT_NORMAL,
-    HG_STRAND_ARRAYS
-};
+/* What a program reads by vertex (x first), and by strand (root rotation, root position, then what a call gives). */
+enum { HG_STRAND_ARRAYS = 16, HG_STRAND_INPUTS = 24 };
 
 typedef struct {
-    int64_t strands, vertices, tiles;    /* per frame */
-    const void *array[HG_STRAND_ARRAYS]; /* NULL where it is not read */
-    const void *root_rotation;           /* [B,S,4] */
-    const void *root_position;           /* [B,S,3] */
-    const int32_t *groom;                /* [B], NULL: all 0 */
-    const void *site;                    /* [G,tiles,V,n_site,lanes], made once per groom */
-    const void *groom_strand;            /* [G,tiles,n_groom_strand,lanes] */
-    const void *uniform;                 /* [n_uniform] */
-    void *gradient;                      /* [B,S,V,3] */
-    double *energy;                      /* [B,tiles,terms]: sums over the strands of a tile */
-    double *per_strand;                  /* [B,S,stride] or NULL: term t goes to column[t] */
+    int64_t strands, vertices, tiles;              /* per frame */
+    const void *array[HG_STRAND_ARRAYS];           /* [B,S,V,width], V-1 rows of q; rest data [G,S,V,width] */
+    void *array_gradient[HG_STRAND_ARRAYS];        /* [B,S,V,width], V-1 rows of q; NULL: not wanted */
+    const void *strand_input[HG_STRAND_INPUTS];    /* [B,S,width] */
+    void *strand_input_gradient[HG_STRAND_INPUTS]; /* [B,S,width] */
+    const int32_t *groom;                          /* [B], NULL: all 0 */
+    const void *site;                              /* [G,tiles,V,n_site,lanes], made once per groom */
+    const void *groom_strand;                      /* [G,tiles,n_groom_strand,lanes] */
+    const void *uniform;                           /* [n_uniform] */
+    double *energy;                                /* [B,tiles,terms]: sums over the strands of a tile */
+    double *per_strand;                            /* [B,S,stride] or NULL: term t goes to column[t] */
     int64_t stride;
     const int32_t *column;
 } hg_strand_args;
