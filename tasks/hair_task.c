@@ -79,6 +79,30 @@ hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *par
     return hg_place(ctx, d, rest, rotation, position);
 }
 
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_tensor *part, const float *inputs,
+                                const hg_tensor *rest, const float *rotation, const float *position, float *x)
+{
+    enum { STRANDS = 4096 };
+    const int64_t n = part->shape[0], width = part->shape[1], V = rest->shape[1], F = task->layout.frame_inputs;
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    hg_no_grad_begin(ctx);
+    for (int64_t first = 0; first < n && hg_ctx_status(ctx) == HG_OK; first += STRANDS) {
+        const int64_t count = n - first < STRANDS ? n - first : STRANDS;
+#define PIECE(rank_, from_, stride_, ...)                                                                              \
+    hg_tensor_wrap(ctx, HG_F32, rank_, (int64_t[]){ __VA_ARGS__ }, (float *)(uintptr_t)(from_) + first * (stride_))
+        hg_tensor *some = PIECE(2, part->data, width, count, width);
+        hg_tensor *frame = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, F }, (void *)(uintptr_t)inputs);
+        const hg_tensor *placed =
+            hg_hair_predict(task, ctx, some, frame, PIECE(3, rest->data, V * 3, count, V, 3),
+                            PIECE(3, rotation, 4, 1, count, 4), PIECE(3, position, 3, 1, count, 3));
+#undef PIECE
+        if (placed) memcpy(x + first * V * 3, placed->data, hg_tensor_bytes(placed));
+        hg_step_rewind(ctx, mark);
+    }
+    hg_no_grad_end(ctx);
+    return hg_ctx_status(ctx);
+}
+
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
 {
     const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;

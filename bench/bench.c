@@ -1,0 +1,199 @@
+/* bench: measures every row, or those whose names are given, and prints the table.
+ *
+ *     bench [--rounds N] [--json FILE] [NAME...]
+ *
+ * Environment: PYTHON, the interpreter that has PyTorch and ONNX Runtime (default python3). */
+#include "bench/bench.h"
+
+#include "tasks/hair.h"
+
+#include <cjson/cJSON.h>
+#include <stdlib.h>
+#include <string.h>
+#include <unistd.h>
+
+static const struct {
+    const char *name;
+    void (*run)(bench *);
+} rows[] = {
+    { "energies", bench_energies },
+    { "chain", bench_chain },
+    { "self_collision", bench_self_collision },
+    { "body_collision", bench_body_collision },
+    { "network", bench_network },
+    { "step", bench_step },
+    { "inference", bench_inference },
+};
+enum { ROWS = sizeof rows / sizeof *rows };
+
+bool bench_steady_begin(bench *b, int64_t state[3])
+{
+    state[0] = hg_alloc_count();
+    for (int c = 0; c < 2; c++) state[1 + c] = (int64_t)hg_step_reserved(b->ctx[c]);
+    return true;
+}
+
+/* The race itself takes memory once, for its times. */
+int bench_steady(bench *b, const int64_t state[3])
+{
+    return hg_alloc_count() - state[0] <= 1 && state[1] == (int64_t)hg_step_reserved(b->ctx[0]) &&
+           state[2] == (int64_t)hg_step_reserved(b->ctx[1]);
+}
+
+void bench_add(bench *b, const bench_result *result)
+{
+    if (b->n == (int)(sizeof b->result / sizeof *b->result)) return;
+    bench_result *r = &b->result[b->n++];
+    *r = *result;
+    if (r->other_ms > 0 && r->ours_ms > 0 && !r->at_most) r->ratio = r->other_ms / r->ours_ms;
+    fprintf(stderr, "%-32s %-28s %10.3f   %-28s %10.3f   %6.2f\n", r->row, r->ours, r->ours_ms, r->other, r->other_ms,
+            r->ratio);
+}
+
+static const char *reached(const bench_result *r)
+{
+    if (r->aim == 0 || r->ratio == 0) return "";
+    return (r->at_most ? r->ratio <= r->aim : r->ratio >= r->aim) ? "yes" : "no";
+}
+
+static void print_table(const bench *b)
+{
+    printf("%d threads; multiply-add %.0f GFLOP/s (f32), copying %.1f GB/s, measured in this run. Times in ms, medians "
+           "of runs "
+           "in turn.\n\n",
+           BENCH_THREADS, 1e-9 * b->operations, 1e-9 * b->bytes);
+    printf("| row | hairgrad | ms | beside it | ms | ratio | aim | reached | GFLOP/s (of peak) | GB/s (of copy) | same "
+           "bits | steady |\n"
+           "|---|---|---|---|---|---|---|---|---|---|---|---|\n");
+    for (int i = 0; i < b->n; i++) {
+        const bench_result *r = &b->result[i];
+        char other[32] = "", ratio[32] = "", aim[32] = "", operations[48] = "", bytes[48] = "";
+        static const char *const answers[3] = { "", "no", "yes" };
+        if (r->other_ms > 0) snprintf(other, sizeof other, "%.3g", r->other_ms);
+        if (r->ratio > 0) snprintf(ratio, sizeof ratio, "%.3g", r->ratio);
+        if (r->aim > 0) snprintf(aim, sizeof aim, "%s %.3g", r->at_most ? "<=" : ">=", r->aim);
+        if (r->operations > 0 && r->ours_ms > 0) {
+            const double rate = 1e3 * r->operations / r->ours_ms;
+            snprintf(operations, sizeof operations, "%.0f (%.0f %%)", 1e-9 * rate, 100 * rate / b->operations);
+        }
+        if (r->bytes > 0 && r->ours_ms > 0) {
+            const double rate = 1e3 * r->bytes / r->ours_ms;
+            snprintf(bytes, sizeof bytes, "%.1f (%.0f %%)", 1e-9 * rate, 100 * rate / b->bytes);
+        }
+        printf("| %s | %s | %.3g | %s | %s | %s | %s | %s | %s | %s | %s | %s |\n", r->row, r->ours, r->ours_ms,
+               r->other, other, ratio, aim, reached(r), operations, bytes, answers[r->same_bits + 1],
+               answers[r->steady + 1]);
+    }
+    printf("\nSame bits: results of 1 and 2 threads are equal. Steady: nothing was allocated while it was measured.\n");
+    for (int i = 0; i < b->n; i++) {
+        if (!b->result[i].note[0] || (i && !strcmp(b->result[i].note, b->result[i - 1].note))) continue;
+        printf("- %s: %s\n", b->result[i].row, b->result[i].note);
+    }
+}
+
+static void write_json(const bench *b, const char *path)
+{
+    cJSON *all = cJSON_CreateObject(), *list = cJSON_CreateArray();
+    cJSON_AddNumberToObject(all, "threads", BENCH_THREADS);
+    cJSON_AddNumberToObject(all, "operations_per_second", b->operations);
+    cJSON_AddNumberToObject(all, "copy_bytes_per_second", b->bytes);
+    for (int i = 0; i < b->n; i++) {
+        const bench_result *r = &b->result[i];
+        cJSON *row = cJSON_CreateObject();
+        cJSON_AddStringToObject(row, "row", r->row);
+        cJSON_AddStringToObject(row, "ours", r->ours);
+        cJSON_AddNumberToObject(row, "ours_ms", r->ours_ms);
+        cJSON_AddStringToObject(row, "other", r->other);
+        cJSON_AddNumberToObject(row, "other_ms", r->other_ms);
+        cJSON_AddNumberToObject(row, "ratio", r->ratio);
+        cJSON_AddNumberToObject(row, "aim", r->aim);
+        cJSON_AddBoolToObject(row, "at_most", r->at_most);
+        cJSON_AddStringToObject(row, "reached", reached(r));
+        cJSON_AddNumberToObject(row, "operations", r->operations);
+        cJSON_AddNumberToObject(row, "bytes", r->bytes);
+        cJSON_AddNumberToObject(row, "same_bits", r->same_bits);
+        cJSON_AddNumberToObject(row, "steady", r->steady);
+        cJSON_AddStringToObject(row, "note", r->note);
+        cJSON_AddItemToArray(list, row);
+    }
+    cJSON_AddItemToObject(all, "rows", list);
+    char *text = cJSON_Print(all);
+    cJSON_Delete(all);
+    if (!text) bench_need(HG_MEMORY);
+    bench_need(hg_file_write(path, text, strlen(text)));
+    free(text);
+}
+
+static void usage(void)
+{
+    fprintf(stderr, "usage: bench [--rounds N] [--json FILE] [NAME...]; names are");
+    for (int i = 0; i < ROWS; i++) fprintf(stderr, " %s", rows[i].name);
+    fprintf(stderr, "\n");
+    exit(2);
+}
+
+static void start(bench *b)
+{
+    for (int c = 0; c < 2; c++) bench_need(hg_ctx_create(&b->ctx[c], &(hg_ctx_options){ .threads = c + 1, .seed = 1 }));
+    snprintf(b->folder, sizeof b->folder, "%s/hairgrad-bench-XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
+    if (!mkdtemp(b->folder)) {
+        fprintf(stderr, "bench: %s: cannot be made\n", b->folder);
+        exit(1);
+    }
+}
+
+static void end(bench *b)
+{
+    char command[300];
+    for (int c = 0; c < 2; c++) {
+        hg_step_reset(b->ctx[c]);
+        hg_hair_task_destroy(b->task[c]);
+        hg_ctx_destroy(b->ctx[c]);
+    }
+    snprintf(command, sizeof command, "rm -rf '%s'", b->folder);
+    if (system(command) != 0) fprintf(stderr, "bench: %s is left behind\n", b->folder);
+}
+
+int main(int count, char **words)
+{
+    /* Threads of ours that wait sleep: spinning ones would take the other side's cores. Read before main, so once more. */
+    if (!getenv("OMP_WAIT_POLICY")) {
+        setenv("OMP_WAIT_POLICY", "passive", 1);
+        setenv("BENCH_SET_WAIT", "1", 1);
+        execv("/proc/self/exe", words);
+    }
+    bench b = { .rounds = 9, .source = BENCH_SOURCE, .python = getenv("PYTHON") ? getenv("PYTHON") : "python3" };
+    bool wanted[ROWS] = { false }, any = false, memory = false;
+    const char *json = NULL;
+    for (int i = 1; i < count; i++) {
+        int row = 0;
+        while (row < ROWS && strcmp(words[i], rows[row].name)) row++;
+        if (row < ROWS)
+            wanted[row] = any = true;
+        else if (!strcmp(words[i], "--step-memory"))
+            memory = true;
+        else if (!strcmp(words[i], "--rounds") && i + 1 < count && atoi(words[i + 1]) > 0)
+            b.rounds = atoi(words[++i]);
+        else if (!strcmp(words[i], "--json") && i + 1 < count)
+            json = words[++i];
+        else
+            usage();
+    }
+    start(&b);
+    if (memory) {
+        bench_step_memory(&b);
+        end(&b);
+        return 0;
+    }
+    bench_need(hg_machine_limits(b.ctx[1], &b.operations, &b.bytes));
+    for (int i = 0; i < ROWS; i++)
+        if (!any || wanted[i]) rows[i].run(&b);
+    double operations, bytes; /* again: a neighbour may have halved the machine the first time */
+    bench_need(hg_machine_limits(b.ctx[1], &operations, &bytes));
+    if (operations > b.operations) b.operations = operations;
+    if (bytes > b.bytes) b.bytes = bytes;
+    print_table(&b);
+    if (json) write_json(&b, json);
+    end(&b);
+    return 0;
+}
