@@ -164,9 +164,11 @@ static double disagreement(const closest *a, const closest *e, int frame)
 void bench_body_collision(bench *b)
 {
     hg_hair_task *task = bench_task(b, 2);
-    const int64_t S = task->subset.n, V = task->groom->vertices, n = S * V, N = task->body_vertices;
-    int64_t F;
-    const int32_t *faces = hg_poser_collider(task->poser, &F);
+    const int64_t S = task->subset.n, V = task->groom->vertices, n = S * V, N = task->body->vertices,
+                  F = task->body->faces;
+    const int32_t *faces = task->body->triangles;
+    hg_poser *poser; /* of the whole body, not only of what a training lets collide */
+    bench_need(hg_poser_create(&poser, task->body, false));
     double *rest = hg_alloc((size_t)(3 * N), sizeof *rest);
     float *vertices = hg_alloc((size_t)(FRAMES * 3 * N), sizeof *vertices),
           *points = hg_alloc((size_t)(FRAMES * 3 * n), sizeof *points),
@@ -174,10 +176,9 @@ void bench_body_collision(bench *b)
           *position = hg_alloc((size_t)(3 * S), sizeof *position);
     if (!rest || !vertices || !points || !rotation || !position) bench_need(HG_MEMORY);
     for (int f = 0; f < FRAMES; f++) { /* a groom that follows the head, a little behind */
-        bench_need(
-            hg_pose(b->ctx[1], task->poser, NULL, task->clips[0][0].motion, 10 + f, vertices + f * 3 * N, NULL, NULL));
-        bench_need(hg_pose_roots(b->ctx[1], task->poser, task->groom, task->subset.strand, S, vertices + f * 3 * N,
-                                 rotation, position));
+        bench_need(hg_pose(b->ctx[1], poser, NULL, task->clips[0][0].motion, 10 + f, vertices + f * 3 * N, NULL, NULL));
+        bench_need(hg_pose_roots(b->ctx[1], poser, task->groom, task->subset.strand, S, vertices + f * 3 * N, rotation,
+                                 position));
         hg_pose_strands(b->ctx[1], S, V, task->subset.rest->data, rotation, position, points + f * 3 * n);
         for (int64_t i = 0; i < 3 * n; i++)
             points[f * 3 * n + i] += (float)(5e-4 * hg_random_normal(5, (uint64_t)f, (uint64_t)i));
@@ -245,6 +246,7 @@ void bench_body_collision(bench *b)
 #endif
     }
     hg_body_tree_destroy(tree);
+    hg_poser_destroy(poser);
     hg_free(rest);
     hg_free(vertices);
     hg_free(points);

@@ -153,7 +153,8 @@ static void write_arrays(bench *b, const training *t)
     float *distance = hg_alloc((size_t)(S * V), sizeof *distance);
     if (!distance) bench_need(HG_MEMORY);
     for (int64_t i = 0; i < S; i++)
-        memcpy(distance + i * V, task->body_distance + (int64_t)subset->strand[i] * V, (size_t)V * sizeof *distance);
+        memcpy(distance + i * V, task->styles[task->current].body_distance + (int64_t)subset->strand[i] * V,
+               (size_t)V * sizeof *distance);
     bench_write(b, "body_distance", HG_F32, 2, (int64_t[]){ S, V }, distance);
     hg_free(distance);
     for (int i = 0; i < model->n_params; i++) {
@@ -366,6 +367,8 @@ static void end_inference(inference *s)
 
 void bench_inference(bench *b)
 {
+    bench_need(
+        hg_model_copy(hg_hair_model(bench_task(b, 1)), hg_hair_model(bench_task(b, 2)))); /* one was trained longer */
     inference side[2] = { make_inference(b, 0), make_inference(b, 1) };
     hg_hair_task *task = side[1].task;
     char path[400];
