@@ -394,7 +394,7 @@ static hg_status find_strands(hg_physics *p, const hg_physics_resolver *resolver
     HG_TRY(hg_strand_pass_create(&room->pass, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
                                  &p->data, &room->variant, true));
     *pass = room->pass;
-    if (p->backend != HG_BACKEND_INTERPRETER) return HG_OK;
+    if (p->backend == HG_BACKEND_AUTO) return HG_OK;
     return hg_strand_pass_backend(room->pass, p->ctx, p->backend, NULL);
 }
 
