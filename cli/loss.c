@@ -25,6 +25,18 @@ static hg_status read_dtype(const hg_arguments *arguments, hg_dtype *dtype)
     return HG_OK;
 }
 
+static hg_status read_backend(const hg_arguments *arguments, hg_backend *backend)
+{
+    static const char *const names[] = { "auto", "interpreter", "compiled" }; /* in the order of hg_backend */
+    const char *name = cli_value(arguments, "backend", "auto");
+    for (int i = 0; i < 3; i++)
+        if (strcmp(name, names[i]) == 0) {
+            *backend = (hg_backend)i;
+            return HG_OK;
+        }
+    return hg_fail(HG_INVALID, "--backend %s: there are auto, interpreter and compiled", name);
+}
+
 static int loss(const hg_arguments *arguments)
 {
     const char *out = cli_value(arguments, "output", NULL), *set[64];
@@ -36,7 +48,9 @@ static int loss(const hg_arguments *arguments)
         return cli_fail();
     }
     hg_ctx *ctx = NULL;
-    if (read_dtype(arguments, &options.dtype) != HG_OK || !cli_context(&ctx, arguments)) return cli_fail();
+    if (read_dtype(arguments, &options.dtype) != HG_OK || read_backend(arguments, &options.backend) != HG_OK ||
+        !cli_context(&ctx, arguments))
+        return cli_fail();
     char *trap = cli_flag(arguments, "trap-nan") ? hg_format("%s.nan.h5", out) : NULL;
     if (cli_flag(arguments, "trap-nan")) hg_trap_nan(ctx, true, trap);
     hg_loss_result result;
@@ -54,6 +68,7 @@ static const hg_argument loss_options[] = {
       true },
     { "dtype", "f32|f64", "numbers that are computed and written with (default f64)", false },
     { "wrt", "NAMES", "gradients by these too, like x,stiffness,rest (default x)", false },
+    { "backend", "NAME", "auto, interpreter or compiled (default auto: compiled where that is worth it)", false },
     { "trap-nan", NULL, "stop at the first number that is not finite: energy, strand, vertex, and a file with it",
       false },
     CLI_CONTEXT_OPTIONS,

@@ -140,6 +140,7 @@ typedef struct {
     hg_dtype dtype;                          /* HG_F32 or HG_F64 */
     int n_set; const char *const *set;       /* "stiffness=2 N/m", "strain=smooth", "g=0,-9.81,0", "stretch.stiffness=2" */
     const char *wrt;                         /* "x,stiffness"; NULL: x */
+    hg_backend backend;
 } hg_loss_options;
 typedef struct { char name[128], shape[96]; double norm, largest; } hg_loss_gradient;
 typedef struct {

@@ -206,6 +206,7 @@ static hg_status run(loss *l, const char *out, const hg_loss_options *options, h
     HG_TRY(list_unread(l, result));
     HG_TRY(loss_make_frame(l, w.n, w.array));
     hg_status status = hg_physics_create(&physics, l->ctx, l->dtype, l->term, l->n_terms, &l->data);
+    if (status == HG_OK && options->backend != HG_BACKEND_AUTO) status = hg_physics_backend(physics, options->backend);
     if (status == HG_OK) {
         snprintf(result->backend, sizeof result->backend, "%s", hg_physics_backend_name(physics));
         status = evaluate(l, physics, &w, unweighted);

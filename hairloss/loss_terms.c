@@ -155,7 +155,7 @@ static hg_status parse_numbers(const char *key, const char *text, const char *un
         const bool has_unit = behind && *behind;
         snprintf(one, sizeof one, "%.17g%s%.40s", number, has_unit ? " " : "", has_unit ? behind : "");
         const char *next = end + strspn(end, " ");
-        if (end == at || (i + 1 < n ? *next != ',' : false) ||
+        if (end == at || (i + 1 < n ? *next != ',' : next < last || (last && strchr(next, ','))) ||
             hg_unit_parse(one, unit ? unit : "1", &values[i]) != HG_OK)
             return hg_fail(HG_INVALID, "%s: \"%s\" is not %d numbers like 0,-9.81,0%s%s", key, text, n,
                            dimensionless ? "" : " in ", dimensionless ? "" : unit);
@@ -238,39 +238,33 @@ static hg_status set_one(loss *l, const char *key, const char *value)
 
 /* ---- what the formulas read ---------------------------------------------------------------------------------- */
 
-static hg_status remember(char **names, int *n, char *name)
+/* Takes the name over. */
+static hg_status remember(char **names, int *widths, int *n, char **name, int width)
 {
     for (int i = 0; i < *n; i++)
-        if (strcmp(names[i], name) == 0) {
-            hg_free(name);
-            return HG_OK;
-        }
-    if (*n == LOSS_NAMES) {
-        hg_free(name);
-        return hg_fail(HG_INVALID, "loss: the energies read more than %d named arrays", LOSS_NAMES);
-    }
-    names[(*n)++] = name;
+        if (strcmp(names[i], *name) == 0) return HG_OK;
+    if (*n == LOSS_NAMES) return hg_fail(HG_INVALID, "loss: the energies read more than %d named arrays", LOSS_NAMES);
+    if (widths) widths[*n] = width;
+    names[(*n)++] = *name;
+    *name = NULL;
     return HG_OK;
 }
 
-static hg_status ask(loss *l, int t, hg_scalar (*formula)(void), uint32_t allowed)
+static hg_status ask(loss *l, int t, hg_scalar (*formula)(void), uint32_t allowed, bool root)
 {
     if (!formula) return HG_OK;
     hg_trace_scope scope;
-    uint32_t kinds = 0;
-    int n = 0;
-    char *attributes[8] = { NULL };
-    hg_status status = HG_OK;
+    hg_formula_names names = { 0 };
     hg_term_scope(&scope, &l->term[t], t, allowed);
+    if (root) scope.window = 2;
     scope.posed_given = hg_h5_has(l->file, "posed"); /* else it is made of rest and the root frames */
-    HG_TRY(hg_formula_inputs(formula, &scope, &kinds, &n, attributes));
-    l->reads.kinds |= kinds;
-    for (int i = 0; i < n; i++) {
-        if (status == HG_OK)
-            status = remember(l->reads.attribute, &l->reads.n_attributes, attributes[i]);
-        else
-            hg_free(attributes[i]);
-    }
+    hg_status status = hg_formula_reads(formula, &scope, &names);
+    l->reads.kinds |= names.kinds;
+    for (int i = 0; status == HG_OK && i < names.n_attributes; i++)
+        status = remember(l->reads.attribute, NULL, &l->reads.n_attributes, &names.attributes[i], 1);
+    for (int i = 0; status == HG_OK && i < names.n_frames; i++)
+        status = remember(l->reads.frame, l->reads.width, &l->reads.n_frame, &names.frames[i], names.frame_width[i]);
+    hg_formula_names_free(&names);
     return status;
 }
 
@@ -282,9 +276,9 @@ static hg_status ask_all(loss *l)
         const uint32_t allowed = site == HG_SITE_WINDOW  ? HG_ALLOW_WINDOW
                                  : site == HG_SITE_PAIRS ? HG_ALLOW_PAIRS
                                                          : HG_ALLOW_FIELD;
-        HG_TRY(ask(l, t, energy->trace, allowed));
-        HG_TRY(ask(l, t, energy->root, HG_ALLOW_WINDOW));
-        HG_TRY(ask(l, t, energy->kernel, HG_ALLOW_FIELD_KERNEL));
+        HG_TRY(ask(l, t, energy->trace, allowed, false));
+        HG_TRY(ask(l, t, energy->root, HG_ALLOW_WINDOW & ~HG_ALLOW(HG_INPUT_CARRY), true));
+        HG_TRY(ask(l, t, energy->kernel, HG_ALLOW_FIELD_KERNEL, false));
         l->reads.pairs |= site == HG_SITE_PAIRS;
         l->reads.field |= site == HG_SITE_FIELD;
         l->reads.contact |= energy->contact;

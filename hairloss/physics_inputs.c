@@ -43,6 +43,7 @@ hg_status hg_physics_asked(hg_physics_asks *asks, const hg_term *terms, int n)
             asks->kinds |= names.kinds;
             if (site == HG_SITE_WINDOW) asks->window_kinds |= names.kinds;
             if (site != HG_SITE_WINDOW) asks->kinds |= HG_ALLOW(HG_INPUT_REST); /* distances at rest, neighbours */
+            if (site == HG_SITE_FIELD) asks->kinds |= HG_ALLOW(HG_INPUT_MASS);  /* what a neighbour counts */
             for (int i = 0; status == HG_OK && i < names.n_attributes; i++)
                 status = add_name(asks->attributes, &asks->n_attributes, names.attributes[i], 1, t);
             for (int i = 0; status == HG_OK && i < names.n_frames; i++)
