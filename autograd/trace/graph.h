@@ -76,6 +76,9 @@ typedef struct {
     int n_carries;
     const hg_given *given; /* inputs that are not where they usually are; the caller's */
     int n_given;
+    struct {
+        int asked, folded, simplified, shared; /* operations that formulas asked for, and what became of them */
+    } count;
     hg_status status;
     char message[320];
 } hg_graph;

@@ -228,6 +228,12 @@ const hg_input *hg_function_inputs(const hg_function *function, int *n)
     return function->inputs;
 }
 
+const hg_code *hg_function_code(const hg_function *function, const hg_numbers **numbers)
+{
+    *numbers = &function->numbers;
+    return &function->list;
+}
+
 uint64_t hg_code_hash(const hg_code *list, uint64_t seed)
 {
     for (int i = 0; i < list->n; i++) {

@@ -53,9 +53,11 @@ hg_status hg_graph_trace(hg_graph *graph, hg_scalar (*formula)(void), const hg_t
                          uint32_t *used)
 {
     recording recording_ = { graph, scope, 0 }, *outer = current;
+    const __typeof__(graph->count) before = graph->count; /* of several traces the last one counts */
     current = &recording_;
     do {
         for (int i = 0; i < graph->n_carries; i++) graph->carries[i].carried = graph->carries[i].kept_n = 0;
+        memcpy(&graph->count, &before, sizeof before);
         *node = formula().id;
     } while (check_carries(graph, scope));
     current = outer;
@@ -397,7 +399,18 @@ void hg_trace_keep_quat(const char *name, hg_quat value)
 
 static hg_scalar record(hg_node_op op, hg_scalar a, hg_scalar b, hg_scalar c)
 {
-    return (hg_scalar){ current ? hg_graph_op(current->graph, op, a.id, b.id, c.id) : -1 };
+    if (!current) return none;
+    hg_graph *graph = current->graph;
+    const int before = graph->n, node = hg_graph_op(graph, op, a.id, b.id, c.id);
+    if (node < 0) return none;
+    graph->count.asked++;
+    if (graph->nodes[node].op == HG_NODE_NUMBER)
+        graph->count.folded++;
+    else if (node < before && graph->nodes[node].op == op && node != a.id)
+        graph->count.shared++;
+    else if (node < before)
+        graph->count.simplified++;
+    return (hg_scalar){ node };
 }
 
 hg_scalar hg_trace_number(double value) { return (hg_scalar){ current ? hg_graph_number(current->graph, value) : -1 }; }

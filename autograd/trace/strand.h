@@ -102,6 +102,7 @@ enum { HG_LANES_F32 = 128, HG_LANES_F64 = 64 };
 /* A function of nodes that are in a graph already; its inputs are found by itself. */
 hg_status hg_function_from_graph(hg_function **function, hg_graph *graph, int n_outputs, const int *nodes);
 const hg_input *hg_function_inputs(const hg_function *function, int *n);
+const hg_code *hg_function_code(const hg_function *function, const hg_numbers **numbers);
 uint64_t hg_code_hash(const hg_code *list, uint64_t seed);
 uint64_t hg_function_hash(const hg_function *function, uint64_t seed);
 
