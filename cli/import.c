@@ -182,6 +182,12 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     if (vertices < 2 || vertices > 1024)
         return hg_fail(HG_INVALID, "--vertices %lld: 2 to 1024 are possible", (long long)vertices);
 
+    const hg_groom_reader *reader = hg_groom_reader_find(path);
+    if (!reader) return HG_UNSUPPORTED;
+    if (reader->metres && (cli_value(arguments, "unit", NULL) || cli_value(arguments, "up", NULL)))
+        return hg_fail(HG_INVALID, "%s: .%s files have their own unit and axes: --unit and --up are not for them", path,
+                       reader->extension);
+    char doubt[160] = "";
     hg_body *body = NULL;
     hg_curves *curves = NULL;
     hg_groom *groom = NULL;
@@ -192,6 +198,7 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     if (status == HG_OK) status = hg_curves_read(&curves, path);
     if (status == HG_OK) {
         hg_curves_to_world(curves, unit, z_up);
+        hg_curves_in_metres(curves, doubt);
         status = of_file(hg_groom_from_curves(&groom, curves, vertices, &read), path);
     }
     if (status == HG_OK) status = get_similarity(ctx, arguments, body, groom, unit, z_up, &similarity);
@@ -205,6 +212,7 @@ static hg_status import_groom(hg_ctx *ctx, const char *path, const hg_arguments 
     if (status == HG_OK) {
         printf("%s: %lld strands of %lld vertices\n", output, (long long)groom->strands, (long long)groom->vertices);
         say_dropped(&read);
+        if (doubt[0]) printf("unit: %s\n", doubt);
         const char *how = cli_flag(arguments, "find")                ? "found"
                           : cli_value(arguments, "similarity", NULL) ? "given"
                                                                      : "not asked for";

@@ -110,6 +110,8 @@ typedef struct {
     int hairs;                           /* drawn for a strand; 0: by the number of strands, so that few cover a head; 1: the strands alone */
 } hg_sheet_options;
 hg_status hg_sheet_draw(hg_ctx *ctx, hg_image **sheet, const char *path, const hg_sheet_options *options, const hg_progress *progress);
+/* What hg_check_groom found: strands in the colour of their problem, from three sides, each width x height; body may be NULL. */
+hg_status hg_problems_draw(hg_ctx *ctx, hg_image **image, const hg_curves *curves, const uint8_t *problem /* [S] */, const hg_body *body, int width, int height);
 /* Do tips lag and swing? Paths of a few tips in the head's frame, from above, beside the same over time under the head's
  * turning; rigidly posed tips stand still there. */
 hg_status hg_tips_draw(hg_image **picture, const char *path, int width, int height);

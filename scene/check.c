@@ -188,8 +188,9 @@ static void say_strands(hg_findings *findings, const hg_curves *curves, const me
     if (m->kept == 0)
         hg_findings_add(findings, HG_ERROR, "strands", "none of %lld can be used", (long long)curves->strands);
     else
-        hg_findings_add(findings, HG_FINE, "strands", "%lld of %lld to %lld vertices, %lld together",
-                        (long long)m->kept, (long long)m->least, (long long)m->most, (long long)m->vertices);
+        hg_findings_add(findings, HG_FINE, "strands",
+                        m->least == m->most ? "%lld of %lld vertices" : "%lld of %lld to %lld vertices",
+                        (long long)m->kept, (long long)m->least, (long long)m->most);
     static const char *const what[3] = { "bald (one vertex or none)", "of zero length", "not finite" };
     int64_t counts[3] = { report.bald, report.zero_length, report.non_finite };
     for (int i = 0; i < 3; i++)
@@ -421,7 +422,7 @@ static void say_near(hg_findings *findings, const probes *p, uint8_t *problem)
                     median > 0.01 ? ": is it in the body's place? hairgrad import groom --find looks for it" : "");
     hg_findings_add(findings, share > 1 ? HG_WARNING : HG_FINE, "inside",
                     "%lld vertices (%.2f %%) are more than 1 mm inside the body, the deepest %.3g mm",
-                    (long long)inside, share, -1e3 * deepest);
+                    (long long)inside, share, 1e3 * fabs(deepest));
 }
 
 static hg_status say_against(hg_ctx *ctx, hg_findings *findings, const hg_curves *curves, const hg_body *body,

@@ -1,5 +1,5 @@
 /* NumPy's .npz: `positions` [S,V,3], or, where strands differ in length, `points` [N,3] and `counts` [S]; `root_uv` [S,2]
- * where there is one. The names are those of DiffLocks. */
+ * where there is one. The names are those of DiffLocks. An .npy has one array [S,V,3]. */
 #include "scene/internal.h"
 #include "scene/npz.h"
 
@@ -32,6 +32,17 @@ static hg_status write_npz(const hg_curves *curves, const char *path, const char
     hg_free(counts);
     return status;
 }
+
+static hg_status write_npy(const hg_curves *curves, const char *path, const char *variant)
+{
+    int64_t vertices;
+    (void)variant;
+    HG_TRY(scene_equal_vertices(curves, path, &vertices));
+    return npz_write(path, 1, &(npz_item){ "", HG_F32, 3, { curves->strands, vertices, 3 }, curves->points });
+}
+
+static const hg_groom_writer npy_writer = { .extension = "npy", .what = "NumPy, [S,V,3]", .write = write_npy };
+HG_REGISTER("groom writer", npy, &npy_writer);
 
 static const hg_groom_writer writer = { .extension = "npz",
                                         .what = "NumPy, positions and root_uv",

@@ -23,6 +23,7 @@ extern "C" {
 /* The schema: scene, model, losses (one section per registered energy, made from its parameters), training. */
 const hg_config_row *hg_hair_schema(int *n);
 hg_status hg_hair_config_load(hg_config **config, const char *path);
+hg_status hg_hair_config_check(hg_ctx *ctx, hg_findings *findings, const char *path); /* all that can be known without training; writes nothing */
 
 /* ---- task --------------------------------------------------------------------------------------------------- */
 

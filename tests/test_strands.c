@@ -340,9 +340,11 @@ static void round_trip(const hg_curves *curves, const char *const *paths, int n)
     }
 }
 
-static const char *const ragged_formats[] = { "r.hair", "r.data", "r.bin", "r.ply", "r.ply/ascii", "r.vtkhdf" };
-static const char *const equal_formats[] = { "e.hair", "e.data",  "e.bin",   "e.ply",    "e.ply/ascii",
-                                             "e.tfx",  "e.tfx/3", "e.tfx/4", "e.vtkhdf", "e.h5" };
+static const char *const ragged_formats[] = {
+    "r.hair", "r.data", "r.bin", "r.ply", "r.ply/ascii", "r.npz", "r.vtkhdf"
+};
+static const char *const equal_formats[] = { "e.hair", "e.data", "e.bin",   "e.ply",   "e.ply/ascii", "e.npz",
+                                             "e.npy",  "e.tfx",  "e.tfx/3", "e.tfx/4", "e.vtkhdf",    "e.h5" };
 enum { RAGGED = sizeof ragged_formats / sizeof *ragged_formats, EQUAL = sizeof equal_formats / sizeof *equal_formats };
 
 static void round_trips(void **state)
@@ -372,8 +374,8 @@ static void round_trips(void **state)
     curves->root_uv = hg_alloc(2, 2 * sizeof *curves->root_uv);
     curves->root_uv[3] = 0.75F;
     hg_curves *back;
-    static const char *const with_uv[] = { "u.tfx" };
-    for (int i = 0; i < 1; i++) {
+    static const char *const with_uv[] = { "u.tfx", "u.npz" };
+    for (int i = 0; i < 2; i++) {
         ok(hg_curves_write(curves, small_path(with_uv[i]), NULL));
         ok(hg_curves_read(&back, small_path(with_uv[i])));
         assert_non_null(back->root_uv);
