@@ -3,7 +3,7 @@
 #ifndef ENERGIES_SCENE_H
 #define ENERGIES_SCENE_H
 
-#include "hairloss/hairloss.h"
+#include "asks.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -14,6 +14,7 @@ typedef struct {
     int64_t G, B, S, V;
     double *rest, *mass, *body_distance, *scalp_distance;           /* [G,S,V,..] */
     double *x, *predicted, *previous, *posed, *rotation, *position; /* [B,S,V,3], [B,S,4], [B,S,3] */
+    double *q, *ghost, *deformation;                                /* [B,S,V-1,4], [B,S,V,3] */
     int32_t *groom;                                                 /* [B] */
     double body_rest[8 * 3], *body;                                 /* [8,3], [B,8,3] */
     hg_body_tree *tree;
@@ -71,6 +72,10 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
     s->rotation = numbers(B * S * 4);
     s->position = numbers(B * S * 3);
     s->body = numbers(B * 24);
+    s->q = numbers(B * S * V * 4);
+    s->ghost = numbers(B * S * V * 3);
+    s->deformation = numbers(B * S * V * 3);
+    for (int64_t i = 0; i < B * S * V * 4; i++) s->q[i] = noise(30, i);
     s->groom = hg_alloc((size_t)B + 1, sizeof *s->groom);
     for (int64_t i = 0; i < G * S; i++) {
         double at[3] = { 0.03 * noise(1, 3 * i), 0.002 + 0.002 * (1 + noise(1, 3 * i + 1)),
@@ -109,6 +114,10 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
             for (int64_t b = 0; b < B; b++) s->body[24 * b + 3 * i + c] = corner[c];
         }
     }
+    for (int64_t i = 0; i < B * S * V * 3; i++) {
+        s->ghost[i] = s->posed[i] + 0.4 * edge * noise(31, i);
+        s->deformation[i] = edge * noise(32, i);
+    }
     if (hg_body_tree_create(&s->tree, 8, s->body_rest, 12, faces) != HG_OK) abort();
     s->attributes[0] = (hg_groom_attribute){ "body_distance", s->body_distance };
     s->attributes[1] = (hg_groom_attribute){ "scalp_distance", s->scalp_distance };
@@ -124,8 +133,10 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
 
 static inline void scene_free(scene *s)
 {
-    double *arrays[] = { s->rest,     s->mass,  s->body_distance, s->scalp_distance, s->x,   s->predicted,
-                         s->previous, s->posed, s->rotation,      s->position,       s->body };
+    double *arrays[] = {
+        s->rest,  s->mass,     s->body_distance, s->scalp_distance, s->x, s->predicted, s->previous,
+        s->posed, s->rotation, s->position,      s->body,           s->q, s->ghost,     s->deformation
+    };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
     hg_free(s->groom);
     hg_body_tree_destroy(s->tree);
@@ -154,6 +165,15 @@ static inline hg_frame scene_frame(const scene *s, hg_ctx *ctx, hg_dtype dtype)
                        .predicted = upload(ctx, dtype, 4, vertices, s->predicted),
                        .previous = upload(ctx, dtype, 4, vertices, s->previous),
                        .body_vertices = upload(ctx, dtype, 3, body, s->body) };
+}
+
+/* The arrays that the terms ask for by name, in inputs[3]. */
+static inline void scene_bring(const scene *s, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
+                               hg_frame *frame, hg_frame_input inputs[3])
+{
+    const test_array arrays[] = { { "q", 4, s->q }, { "ghost", 3, s->ghost }, { "deformation", 3, s->deformation } };
+    frame->n_inputs = bring_arrays(ctx, dtype, terms, n, (int64_t[]){ s->B, s->S, s->V }, 3, arrays, inputs);
+    frame->inputs = inputs;
 }
 
 static inline hg_tensor *scene_x(const scene *s, hg_ctx *ctx, hg_dtype dtype)

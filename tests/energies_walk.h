@@ -85,6 +85,8 @@ static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const
         ok(status, label);
     if (status == HG_OK) {
         hg_frame frame = scene_frame(s, ctx, dtype);
+        hg_frame_input inputs[3];
+        scene_bring(s, ctx, dtype, terms, n, &frame, inputs);
         if (give_posed) frame.posed = upload(ctx, dtype, 4, (int64_t[]){ s->B, s->S, s->V, 3 }, s->posed);
         hg_tensor *x = scene_x(s, ctx, dtype), *gradient = scene_x(s, ctx, dtype);
         ok(hg_physics_evaluate(physics, ctx, &frame, x, r.energy, r.per_strand, gradient), label);

@@ -2,6 +2,7 @@
  * (tests/reference/energies.py). An energy that registers itself or stands in hairloss/ without a reference fails. */
 #include "hairloss/hairloss.h"
 
+#include "tests/asks.h"
 #include "tests/test.h"
 
 enum { MOST = 32 };
@@ -11,7 +12,7 @@ typedef struct {
     hg_h5 *file;
     int64_t G, B, S, V, N;
     double *rest, *mass, *body_distance, *scalp_distance, *root_rotation, *root_position, *x, *x_degenerate, *predicted,
-        *previous, *body_rest, *body_vertices;
+        *previous, *body_rest, *body_vertices, *q, *ghost, *deformation;
     int32_t *groom, *faces;
     hg_body_tree *tree;
     hg_groom_attribute attributes[2];
@@ -61,6 +62,10 @@ static void open_reference(reference *r)
     read_numbers(r, "scene/root_position", 3, roots, NULL, &r->root_position);
     read_numbers(r, "scene/body_rest", 2, pairs, found, &r->body_rest);
     r->N = found[0];
+    int64_t edges[4] = { r->B, r->S, r->V - 1, 4 };
+    read_numbers(r, "scene/q", 4, edges, NULL, &r->q);
+    read_numbers(r, "scene/ghost", 4, vertices, NULL, &r->ghost);
+    read_numbers(r, "scene/deformation", 4, vertices, NULL, &r->deformation);
     int64_t body[3] = { r->B, r->N, 3 };
     read_numbers(r, "scene/body_vertices", 3, body, NULL, &r->body_vertices);
     ok(hg_h5_read(r->file, "scene/faces", HG_I32, 2, pairs, found, (void **)&r->faces), "faces");
@@ -82,9 +87,9 @@ static void close_reference(reference *r)
 {
     hg_h5_close(r->file);
     hg_body_tree_destroy(r->tree);
-    void *all[] = { r->rest,  r->mass,         r->body_distance, r->scalp_distance, r->root_rotation, r->root_position,
-                    r->x,     r->x_degenerate, r->predicted,     r->previous,       r->body_rest,     r->body_vertices,
-                    r->groom, r->faces };
+    void *all[] = { r->rest, r->mass,         r->body_distance, r->scalp_distance, r->root_rotation, r->root_position,
+                    r->x,    r->x_degenerate, r->predicted,     r->previous,       r->body_rest,     r->body_vertices,
+                    r->q,    r->ghost,        r->deformation,   r->groom,          r->faces };
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) hg_free(all[i]);
 }
 
@@ -153,6 +158,10 @@ static outcome evaluate(const reference *r, hg_dtype dtype, int threads, hg_back
     frame.predicted = tensor(ctx, dtype, 4, vertices, r->predicted);
     frame.previous = tensor(ctx, dtype, 4, vertices, r->previous);
     frame.body_vertices = tensor(ctx, dtype, 3, body, r->body_vertices);
+    const test_array arrays[] = { { "q", 4, r->q }, { "ghost", 3, r->ghost }, { "deformation", 3, r->deformation } };
+    hg_frame_input inputs[3];
+    frame.n_inputs = bring_arrays(ctx, dtype, terms, n, (int64_t[]){ r->B, r->S, r->V }, 3, arrays, inputs);
+    frame.inputs = inputs;
     hg_tensor *x = tensor(ctx, dtype, 4, vertices, positions), *gradient = hg_tensor_make(ctx, dtype, 4, vertices);
     int64_t count = hg_tensor_count(x);
     outcome out = { calloc((size_t)n, 8), calloc((size_t)(r->B * r->S * n), 8), calloc((size_t)count, 8) };
@@ -282,7 +291,7 @@ static void test_weighted_sum(void **state)
         value[e] = want.unweighted[0];
         double weight = 0.5 + e, largest = 0.0;
         for (int64_t i = 0; i < count; i++) largest = fmax(largest, fabs(want.gradient[i]));
-        weight /= largest; /* so that every energy has its say */
+        if (largest > 0) weight /= largest; /* so that every energy has its say */
         for (int64_t i = 0; i < count; i++) sum[i] += weight * want.gradient[i];
         terms[e] = (hg_term){ variants[e].term.energy, weight, variants[e].params, variants[e].options };
         case_free(&want);
@@ -421,6 +430,7 @@ static void test_every_file(void **state)
         if (at) {
             char name[64];
             at += strlen("\nHG_ENERGY(");
+            at += strspn(at, " \n"); /* a long declaration begins on the next line */
             snprintf(name, sizeof name, "%.*s", (int)strcspn(at, ", )"), at);
             variant v;
             const hg_energy *energy = hg_energy_find(name);
