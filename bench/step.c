@@ -255,7 +255,7 @@ void bench_step(bench *b)
     if (bench_peer_has(peer, "compile")) race[compiled = n++] = bench_peer_side(peer, "compile", "torch.compile");
     int64_t state[3];
     double ms[2];
-    for (int k = 0; k < 20; k++) steps(&two, ms, 1); /* every frame of the clip that is drawn has been met */
+    for (int k = 0; k < 40; k++) steps(k % 2 && has ? &half : &two, ms, 1); /* every frame that is drawn has been met */
     bench_steady_begin(b, state);
     bench_race(b, n, race, 3);
     r.steady = bench_steady(b, state);

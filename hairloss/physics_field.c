@@ -9,11 +9,10 @@
  *
  * both also through the field at rest, where that is made of the rest groom and not given.
  *
- * Vertices are sorted into cells once per evaluation. Two walks over the neighbours follow, for the sums and for the
- * gradient; neighbours are found again in the second, which is cheaper than writing millions of them to memory and
- * reading them back, and vertices whose density is at rest have nothing to do in it. Distances are gathered over many
- * vertices until there are lanes enough for a run of the traced kernel. Every vertex gathers its own gradient: no two
- * threads write to one place, and the order of sums is fixed. */
+ * Vertices are sorted into cells once per evaluation. The sums and the gradient in the positions go over every pair once
+ * (physics_field_pairs.h); the derivatives that few ask for walk over the neighbours of every vertex. Distances are
+ * gathered over many vertices until there are lanes enough for a run of the traced kernel. No two threads write to one
+ * place, and the order of sums is fixed. */
 #include "geometry/scan.h"
 #include "geometry/vector.h"
 #include "hairloss/physics_pass.h"
@@ -22,11 +21,20 @@
 #include <string.h>
 
 enum {
-    LANES = 2048, /* gathered at most before the kernel is run */
-    OWNERS = 256, /* and of at most so many vertices */
-    PLACES = 256, /* vertices of a block */
-    CHUNK = 128   /* vertices of a strand at a time */
+    LANES = 2048,       /* gathered at most before the kernel is run */
+    OWNERS = 256,       /* and of at most so many vertices */
+    PLACES = 256,       /* vertices of a block */
+    CHUNK = 128,        /* vertices of a strand at a time */
+    MOST_KEPT = 1 << 20 /* vertices whose pairs are kept from the sums to the gradient */
 };
+
+/* The pairs that were found in a layer of cells, by owner; in f32 a pair is 8 bytes. */
+typedef struct {
+    int32_t *owner, *count, *place;
+    void *value; /* W'/r of each pair */
+    int64_t n_owners, owners_room, n, room;
+    bool failed;
+} field_slab;
 
 typedef struct {
     hg_pass pass;
@@ -43,6 +51,9 @@ typedef struct {
     void *rest_now;                                             /* [G,n], made when first needed */
     bool *rest_made;                                            /* [G] */
     void *sums, *slope, *rest_slope, *slope_place, *mass_place; /* [n] of the frame at work */
+    field_slab *slabs;                                          /* [slabs_room] */
+    int64_t slabs_room;
+    bool kept;           /* the slabs hold the pairs of the cells */
     double *theta_place; /* [n] what a place leaves for the derivative of a param of the kernel */
 } field_pass;
 
@@ -56,11 +67,63 @@ static bool rest_follows(const field_pass *pass)
     return follows;
 }
 
+static hg_status grow(void **array, int64_t old, int64_t n, size_t size)
+{
+    void *grown = hg_resize(*array, (size_t)old, (size_t)n, size);
+    if (!grown) return HG_MEMORY;
+    *array = grown;
+    return HG_OK;
+}
+
+/* Adds the pairs of some vertices to a slab. Memory is kept from call to call. */
+static hg_status keep_pairs(field_slab *slab, int n_owners, const int32_t *owner, const int32_t *first,
+                            const int32_t *place, size_t size, const void *value)
+{
+    const int64_t n = n_owners ? first[n_owners] : 0;
+    if (slab->n_owners + n_owners > slab->owners_room) {
+        const int64_t room = (slab->n_owners + n_owners) * 5 / 4 + 64;
+        HG_TRY(grow((void **)&slab->owner, slab->owners_room, room, sizeof *slab->owner));
+        HG_TRY(grow((void **)&slab->count, slab->owners_room, room, sizeof *slab->count));
+        slab->owners_room = room;
+    }
+    if (slab->n + n > slab->room) {
+        const int64_t room = (slab->n + n) * 5 / 4 + 1024;
+        HG_TRY(grow((void **)&slab->place, slab->room, room, sizeof *slab->place));
+        HG_TRY(grow(&slab->value, slab->room, room, size));
+        slab->room = room;
+    }
+    for (int o = 0; o < n_owners; o++) {
+        slab->owner[slab->n_owners + o] = owner[o];
+        slab->count[slab->n_owners + o] = first[o + 1] - first[o];
+    }
+    memcpy(slab->place + slab->n, place, (size_t)n * sizeof *place);
+    memcpy((char *)slab->value + (size_t)slab->n * size, value, (size_t)n * size);
+    slab->n_owners += n_owners;
+    slab->n += n;
+    return HG_OK;
+}
+
+/* One slab for each layer of the cells; emptied unless they hold the pairs of these cells. */
+static hg_status begin_slabs(field_pass *pass)
+{
+    const int64_t layers = pass->cells.size[2];
+    if (layers > pass->slabs_room) {
+        HG_TRY(grow((void **)&pass->slabs, pass->slabs_room, layers + 16, sizeof *pass->slabs));
+        pass->slabs_room = layers + 16;
+    }
+    for (int64_t s = 0; s < layers && !pass->kept; s++) {
+        pass->slabs[s].n_owners = pass->slabs[s].n = 0;
+        pass->slabs[s].failed = false;
+    }
+    return HG_OK;
+}
+
 #define HG_P(name)    HG_JOIN(name, _, HG_SUFFIX)
 #define hg_real       double
 #define HG_SUFFIX     d
 #define HG_TYPE       HG_F64
 #define HG_MATH(name) name
+#include "hairloss/physics_field_pairs.h"
 #include "hairloss/physics_field_functions.h"
 #undef hg_real
 #undef HG_SUFFIX
@@ -71,6 +134,7 @@ static bool rest_follows(const field_pass *pass)
 #define HG_SUFFIX     f
 #define HG_TYPE       HG_F32
 #define HG_MATH(name) name##f
+#include "hairloss/physics_field_pairs.h"
 #include "hairloss/physics_field_functions.h"
 
 static void field_destroy(void *self)
@@ -83,6 +147,11 @@ static void field_destroy(void *self)
     void *arrays[] = { pass->own_rest,   pass->rest_now,    pass->rest_made,  pass->sums,       pass->slope,
                        pass->rest_slope, pass->slope_place, pass->mass_place, pass->theta_place };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
+    for (int64_t s = 0; s < pass->slabs_room; s++) {
+        void *slab[] = { pass->slabs[s].owner, pass->slabs[s].count, pass->slabs[s].place, pass->slabs[s].value };
+        for (int i = 0; i < 4; i++) hg_free(slab[i]);
+    }
+    hg_free(pass->slabs);
     hg_pass_free(&pass->pass);
     hg_free(pass);
 }
@@ -138,7 +207,7 @@ static hg_status make_rest(field_pass *pass, hg_ctx *ctx)
         rest = hg_alloc((size_t)(data->grooms * n) + 1, sizeof *rest);
         if (!rest) return HG_MEMORY;
         for (int64_t g = 0; g < data->grooms && status == HG_OK; g++)
-            status = make_field_d(pass, ctx, data->rest + 3 * g * n, data->mass + g * n, rest + g * n);
+            status = make_field_d(pass, ctx, data->rest + 3 * g * n, data->mass + g * n, false, rest + g * n);
         hg_cells_free(&pass->cells);
     }
     if (status == HG_OK) pass->own_rest = hg_pass_values(pass->pass.dtype, data->grooms * n, given ? given : rest);

@@ -18,7 +18,7 @@ typedef struct {
     double *theta_place;        /* [places] of every place */
 } HG_P(field_args);
 
-typedef enum { HG_P(WALK_FIELD), HG_P(WALK_GRADIENT), HG_P(WALK_THETA), HG_P(WALK_MASS) } HG_P(walk_kind);
+typedef enum { HG_P(WALK_THETA), HG_P(WALK_MASS) } HG_P(walk_kind);
 
 /* Hits of several points, one after another, until there are enough lanes to be worth a run of the kernel function. */
 typedef struct {
@@ -27,17 +27,6 @@ typedef struct {
     hg_real value[LANES];                     /* squared distance, then distance, then W or W' */
     int32_t owner[OWNERS], first[OWNERS + 1]; /* places whose hits these are */
 } HG_P(gathered);
-
-static hg_real HG_P(sum)(const hg_real *values, int n)
-{
-    hg_real lanes[16] = { 0 }, total = 0;
-    int k = 0;
-    for (; k + 16 <= n; k += 16)
-        for (int l = 0; l < 16; l++) lanes[l] += values[k + l];
-    for (int l = 0; k + l < n; l++) lanes[l] += values[k + l];
-    for (int l = 0; l < 16; l++) total += lanes[l];
-    return total;
-}
 
 /* Appends the neighbours of `place`, itself included, within one run of places; where `slope` is given, only those that
  * have one. */
@@ -60,67 +49,22 @@ static inline void HG_P(gather)(const hg_cells *cells, int64_t place, int32_t fi
     to->n += n;
 }
 
-/* The kernel at every gathered distance: its value, W'/r (what the difference of positions is multiplied with; nothing at
- * r = 0), or its derivative in an input. */
+/* The kernel at every gathered distance: its value, or its derivative in an input. */
 static void HG_P(run_kernel)(const field_pass *pass, HG_P(gathered) * hits, HG_P(walk_kind) kind, int theta)
 {
     const void *in[HG_PASS_INPUTS] = { NULL };
     hg_real out[LANES];
     void *outs[HG_PASS_INPUTS + 1] = { NULL };
-    const hg_function *function = kind == HG_P(WALK_GRADIENT) ? pass->kernel_slope
-                                  : kind == HG_P(WALK_THETA)  ? pass->kernel_full
-                                                              : pass->kernel;
-    outs[kind == HG_P(WALK_GRADIENT) ? 1 : kind == HG_P(WALK_THETA) ? 1 + theta : 0] = out;
+    outs[kind == HG_P(WALK_THETA) ? 1 + theta : 0] = out;
     for (int k = 0; k < hits->n; k++) hits->value[k] = HG_MATH(sqrt)(hits->value[k]);
     in[pass->kernel_distance] = hits->value;
-    hg_function_run(function, HG_TYPE, hits->n, in, pass->kernel_inputs.uniform, outs);
-    if (kind == HG_P(WALK_GRADIENT)) {
-        for (int k = 0; k < hits->n; k++) hits->value[k] = hits->value[k] > 0 ? out[k] / hits->value[k] : 0;
-    } else {
-        memcpy(hits->value, out, (size_t)hits->n * sizeof *out);
-    }
-}
-
-static void HG_P(flush_field)(const HG_P(field_args) * a, HG_P(gathered) * hits)
-{
-    HG_P(run_kernel)(a->pass, hits, HG_P(WALK_FIELD), 0);
-    hits->first[hits->n_owners] = hits->n;
-    for (int o = 0; o < hits->n_owners; o++) {
-        int first = hits->first[o], n = hits->first[o + 1] - first;
-        if (a->mass)
-            for (int k = first; k < first + n; k++) hits->value[k] *= a->mass[hits->place[k]];
-        a->field[a->cells->index[hits->owner[o]]] += HG_P(sum)(hits->value + first, n);
-    }
-    hits->n = hits->n_owners = 0;
-}
-
-static void HG_P(flush_gradient)(const HG_P(field_args) * a, HG_P(gathered) * hits)
-{
-    const hg_real *x = a->cells->x, *y = a->cells->y, *z = a->cells->z;
-    HG_P(run_kernel)(a->pass, hits, HG_P(WALK_GRADIENT), 0);
-    hits->first[hits->n_owners] = hits->n;
-    for (int o = 0; o < hits->n_owners; o++) {
-        int32_t i = hits->owner[o];
-        hg_real lanes[3][16] = { { 0 } }, mass_i = a->mass ? a->mass[i] : 1, slope_i = a->slope_place[i];
-        for (int k = hits->first[o]; k < hits->first[o + 1]; k += 16) {
-            int n = hits->first[o + 1] - k < 16 ? hits->first[o + 1] - k : 16;
-            for (int l = 0; l < n; l++) {
-                int32_t j = hits->place[k + l];
-                hg_real both = slope_i * (a->mass ? a->mass[j] : 1) + a->slope_place[j] * mass_i;
-                both *= hits->value[k + l];
-                lanes[0][l] += both * (x[i] - x[j]);
-                lanes[1][l] += both * (y[i] - y[j]);
-                lanes[2][l] += both * (z[i] - z[j]);
-            }
-        }
-        hg_real *to = a->gradient + 3 * (int64_t)a->cells->index[i];
-        for (int axis = 0; axis < 3; axis++) to[axis] += HG_P(sum)(lanes[axis], 16);
-    }
-    hits->n = hits->n_owners = 0;
+    hg_function_run(kind == HG_P(WALK_THETA) ? pass->kernel_full : pass->kernel, HG_TYPE, hits->n, in,
+                    pass->kernel_inputs.uniform, outs);
+    memcpy(hits->value, out, (size_t)hits->n * sizeof *out);
 }
 
 /* theta: slope_i sum_j m_j dW_ij/dtheta of every place i. mass: sum_j slope_j W_ij, which is dE/dm_i. */
-static void HG_P(flush_other)(const HG_P(field_args) * a, HG_P(gathered) * hits, HG_P(walk_kind) kind)
+static void HG_P(flush)(const HG_P(field_args) * a, HG_P(gathered) * hits, HG_P(walk_kind) kind)
 {
     const hg_real *factor = kind == HG_P(WALK_THETA) ? a->mass : a->slope_place;
     HG_P(run_kernel)(a->pass, hits, kind, a->theta);
@@ -138,16 +82,6 @@ static void HG_P(flush_other)(const HG_P(field_args) * a, HG_P(gathered) * hits,
     hits->n = hits->n_owners = 0;
 }
 
-static void HG_P(flush)(const HG_P(field_args) * a, HG_P(gathered) * hits, HG_P(walk_kind) kind)
-{
-    if (kind == HG_P(WALK_FIELD))
-        HG_P(flush_field)(a, hits);
-    else if (kind == HG_P(WALK_GRADIENT))
-        HG_P(flush_gradient)(a, hits);
-    else
-        HG_P(flush_other)(a, hits, kind);
-}
-
 /* Walks the neighbours of all places of a block; `kind` chooses what is done with them. */
 static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, HG_P(walk_kind) kind)
 {
@@ -163,9 +97,8 @@ static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, 
             cell = cells->cell[i];
             n_runs = hg_cells_runs(cells, cell, runs);
         }
-        /* Where this vertex has no slope of its own, only neighbours that have one matter. */
         const hg_real *only =
-            kind == HG_P(WALK_MASS) || (kind == HG_P(WALK_GRADIENT) && a->slope_place[i] == 0) ? a->slope_place : NULL;
+            kind == HG_P(WALK_MASS) ? a->slope_place : NULL; /* neighbours without a slope add nothing */
         bool open = false;
         for (int r = 0; r < n_runs; r++)
             for (int32_t from = runs[r][0]; from < runs[r][1]; from += HG_SCAN_PIECE) {
@@ -183,18 +116,6 @@ static void HG_P(walk)(const HG_P(field_args) * a, int64_t first, int64_t last, 
             }
     }
     HG_P(flush)(a, &hits, kind);
-}
-
-static void HG_P(sum_field)(const void *args, int64_t first, int64_t last)
-{
-    const HG_P(field_args) *a = args;
-    for (int64_t i = first; i < last; i++) a->field[a->cells->index[i]] = 0;
-    HG_P(walk)(a, first, last, HG_P(WALK_FIELD));
-}
-
-static void HG_P(gather_gradient)(const void *args, int64_t first, int64_t last)
-{
-    HG_P(walk)(args, first, last, HG_P(WALK_GRADIENT));
 }
 
 static void HG_P(sum_theta)(const void *args, int64_t first, int64_t last)
@@ -281,23 +202,20 @@ static hg_status HG_P(make_cells)(field_pass *pass, hg_ctx *ctx, HG_P(field_args
     static const hg_kernel masses = {
         .name = "field_masses", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(place_masses), .block = PLACES
     };
+    pass->kept = false;
     HG_TRY(hg_cells_build(ctx, &pass->cells, HG_TYPE, pass->pass.strands * pass->pass.vertices, x, pass->radius));
     return pass->weighs ? hg_launch(ctx, &masses, pass->cells.n, args) : HG_OK;
 }
 
 /* The field of positions x [n,3]; vertices that are not finite get none. */
-static hg_status HG_P(make_field)(field_pass *pass, hg_ctx *ctx, const hg_real *x, const hg_real *mass, hg_real *field)
+static hg_status HG_P(make_field)(field_pass *pass, hg_ctx *ctx, const hg_real *x, const hg_real *mass, bool keep,
+                                  hg_real *field)
 {
-    static const hg_kernel sums = {
-        .name = "field_sums", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(sum_field), .block = PLACES
-    };
     const int64_t n = pass->pass.strands * pass->pass.vertices;
-    HG_P(field_args)
-    args = { .pass = pass, .cells = &pass->cells, .vertex_mass = mass, .field = field };
-    if (pass->weighs) args.mass = pass->mass_place;
+    HG_P(field_args) args = { .pass = pass, .cells = &pass->cells, .vertex_mass = mass };
     HG_TRY(HG_P(make_cells)(pass, ctx, &args, x));
     if (pass->cells.n < n) memset(field, 0, (size_t)n * sizeof *field);
-    return hg_launch(ctx, &sums, pass->cells.n, &args);
+    return HG_P(pair_sums)(pass, ctx, pass->weighs ? pass->mass_place : NULL, keep, field);
 }
 
 /* What follows from the slope of E in a field whose positions are in the cells: derivatives in the positions, in the
@@ -307,9 +225,6 @@ static hg_status HG_P(chain_field)(field_pass *pass, hg_ctx *ctx, HG_P(field_arg
     static const hg_kernel slopes = {
         .name = "field_slopes", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(place_slopes), .block = PLACES
     };
-    static const hg_kernel gather = {
-        .name = "field_gradient", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(gather_gradient), .block = PLACES
-    };
     static const hg_kernel thetas = {
         .name = "field_params", .args_size = sizeof(HG_P(field_args)), .cpu = HG_P(sum_theta), .block = PLACES
     };
@@ -318,7 +233,7 @@ static hg_status HG_P(chain_field)(field_pass *pass, hg_ctx *ctx, HG_P(field_arg
     };
     const int64_t places = pass->cells.n;
     HG_TRY(hg_launch(ctx, &slopes, places, args));
-    if (args->gradient) HG_TRY(hg_launch(ctx, &gather, places, args));
+    if (args->gradient) HG_TRY(HG_P(pair_gradient)(pass, ctx, args->mass, args->slope_place, args->gradient));
     if (args->mass_gradient) HG_TRY(hg_launch(ctx, &weights, places, args));
     for (int i = 0; i < pass->kernel_inputs.n; i++) {
         const int param = pass->kernel_inputs.source[i];
@@ -359,10 +274,10 @@ static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *f
                                                             : pass->own_rest) +
                       groom * n;
     if (follows && !pass->rest_made[groom]) {
-        HG_TRY(HG_P(make_field)(pass, ctx, rest_x, args.vertex_mass, (hg_real *)pass->rest_now + groom * n));
+        HG_TRY(HG_P(make_field)(pass, ctx, rest_x, args.vertex_mass, false, (hg_real *)pass->rest_now + groom * n));
         pass->rest_made[groom] = true;
     }
-    HG_TRY(HG_P(make_field)(pass, ctx, frame->x, args.vertex_mass, args.field));
+    HG_TRY(HG_P(make_field)(pass, ctx, frame->x, args.vertex_mass, frame->gradient != NULL, args.field));
     HG_TRY(hg_launch(ctx, &evaluate, base->strands, &args));
     if (!frame->gradient && !base->wants) return HG_OK;
     HG_TRY(HG_P(chain_field)(pass, ctx, &args));
