@@ -47,6 +47,9 @@ static int64_t search(hg_ctx *ctx, const hg_tensor *tensor)
     return found;
 }
 
+/* Of a NaN, the sign is nobody's business. */
+static double unsigned_nan(double x) { return isnan(x) ? (double)NAN : x; }
+
 /* "[2,0,1]" */
 static const char *place_text(const hg_tensor *tensor, int64_t element, char text[96])
 {
@@ -108,7 +111,7 @@ static hg_status report(const hg_call *call, bool backward, const char *what, co
     char shape[96], place[96], from[96];
     hg_text text = { 0 };
     hg_text_add(&text, "%s (recorded at %s:%d): %s, %s, is %g at %s", call->op->name, call->file ? call->file : "?",
-                call->line, what, hg_shape_text(tensor, shape), hg_tensor_item(tensor, element),
+                call->line, what, hg_shape_text(tensor, shape), unsigned_nan(hg_tensor_item(tensor, element)),
                 place_text(tensor, element, place));
     for (int i = 0; i < call->n_in; i++) {
         const int64_t bad = search(call->ctx, call->in[i]);
@@ -133,8 +136,9 @@ hg_status hg_trap_check(const hg_call *call, bool backward, const char *path)
     for (int i = 0; i < call->n_in; i++) {
         const hg_tensor *gradient = hg_needs_grad(call->in[i]) ? hg_grad(call->in[i]) : NULL;
         int64_t element = search(call->ctx, gradient);
-        char what[48];
-        snprintf(what, sizeof what, "the gradient of input %d", i);
+        char what[96];
+        const char *name = call->in[i]->name;
+        snprintf(what, sizeof what, "the gradient of input %d%s%.60s", i, name ? " " : "", name ? name : "");
         if (element >= 0) return report(call, true, what, gradient, element, path);
     }
     return HG_OK;
@@ -213,7 +217,8 @@ static void say(hg_ctx *ctx, hg_text *text, const char *what, const hg_tensor *t
         if (isfinite(x) && x > largest) largest = x;
     }
     hg_text_add(text, "  %-20s %-16s largest %.4g", what, hg_shape_text(tensor, shape), largest);
-    if (bad >= 0) hg_text_add(text, ", %g at %s", hg_tensor_item(tensor, bad), place_text(tensor, bad, place));
+    if (bad >= 0)
+        hg_text_add(text, ", %g at %s", unsigned_nan(hg_tensor_item(tensor, bad)), place_text(tensor, bad, place));
     hg_text_add(text, "\n");
 }
 

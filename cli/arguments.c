@@ -202,6 +202,7 @@ hg_status cli_trap(hg_ctx *ctx, const hg_arguments *arguments, const char *folde
     HG_TRY(hg_folder_create(folder));
     *path = hg_path_join(folder, "nan.h5");
     if (!*path) return HG_MEMORY;
+    remove(*path); /* of a run before */
     hg_trap_nan(ctx, true, *path);
     return hg_ctx_status(ctx);
 }

@@ -52,7 +52,8 @@ static int loss(const hg_arguments *arguments)
         !cli_context(&ctx, arguments))
         return cli_fail();
     char *trap = cli_flag(arguments, "trap-nan") ? hg_format("%s.nan.h5", out) : NULL;
-    if (cli_flag(arguments, "trap-nan")) hg_trap_nan(ctx, true, trap);
+    if (trap) remove(trap); /* of a run before */
+    if (trap) hg_trap_nan(ctx, true, trap);
     hg_loss_result result;
     const hg_status status = hg_loss_run(ctx, arguments->free[1], out, &options, &result);
     hg_ctx_destroy(ctx);

@@ -131,6 +131,9 @@ const char *hg_physics_backend_note(const hg_physics *physics);                 
 hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted);
 /* The same without a tape: energy per strand and term [B,S,n] f64 (may be NULL), gradient [B,S,V,3] (may be NULL). */
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
+#ifndef HG_NO_CALLER
+#define hg_physics_energy(physics, ctx, ...) (hg_physics_energy)(physics, HG_HERE(ctx), __VA_ARGS__)
+#endif
 int        hg_physics_terms(const hg_physics *physics);
 const hg_term *hg_physics_term(const hg_physics *physics, int i);
 

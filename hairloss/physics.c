@@ -431,6 +431,22 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
     return HG_OK;
 }
 
+/* Outside of the tape, too, a trap that is set stops at what is not finite. */
+static hg_status check_trap(const hg_physics *p, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x)
+{
+    const char *path;
+    bool finite = true;
+    if (!hg_trap_is_on(ctx, &path)) return HG_OK;
+    for (int t = 0; t < p->n; t++) finite = finite && isfinite(p->sums[t]);
+    if (finite) return HG_OK;
+    hg_text text = { 0 };
+    hg_text_add(&text, "physics: an energy is not finite");
+    hg_status status = hg_physics_explain(ctx, p->dtype, p->terms, p->n, &p->data, frame, x, 1, path, &text);
+    if (status == HG_OK) status = hg_ctx_fail(ctx, HG_NUMERIC, "%s", text.failed ? "out of memory" : text.data);
+    hg_text_free(&text);
+    return status;
+}
+
 hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted,
                               double *per_strand, hg_tensor *gradient)
 {
@@ -440,7 +456,7 @@ hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *
     HG_TRY(run(physics, ctx, frame, x, false, &values, physics->sums, per_strand, gradient ? gradient->data : NULL));
     if (gradient) hg_tensor_touch(gradient);
     if (unweighted) memcpy(unweighted, physics->sums, (size_t)physics->n * sizeof *unweighted);
-    return HG_OK;
+    return check_trap(physics, ctx, frame, x);
 }
 
 /* ---- on the tape -------------------------------------------------------------------------------------------- */
@@ -458,6 +474,36 @@ static hg_tensor *physics_shape(hg_call *call)
     return hg_tensor_make(call->ctx, attributes->physics->dtype, 0, NULL);
 }
 
+/* The inputs are the caller's, as long as its call; a trap may want them later. */
+static hg_status keep_inputs(hg_ctx *ctx, hg_frame *frame)
+{
+    const int n = hg_trap_is_on(ctx, NULL) ? frame->n_inputs : 0;
+    hg_frame_input *kept = n ? hg_step_alloc(ctx, (size_t)n * sizeof *kept) : NULL;
+    for (int i = 0; i < n; i++) {
+        const size_t size = strlen(frame->inputs[i].name) + 1;
+        char *name = kept ? hg_step_alloc(ctx, size) : NULL;
+        if (!name) return HG_MEMORY;
+        memcpy(name, frame->inputs[i].name, size);
+        kept[i] = (hg_frame_input){ name, frame->inputs[i].value };
+    }
+    frame->inputs = kept;
+    frame->n_inputs = n;
+    return HG_OK;
+}
+
+static hg_status physics_explain(const hg_call *call, bool backward, const char *path, hg_text *text)
+{
+    const physics_call *attributes = call->attributes;
+    const hg_physics *p = attributes->physics;
+    const double arrived = backward ? hg_tensor_item(hg_grad(call->out), 0) : 1;
+    if (!isfinite(arrived)) {
+        hg_text_add(text, "; the gradient that came to it is %g", arrived);
+        return HG_OK;
+    }
+    return hg_physics_explain(call->ctx, p->dtype, p->terms, p->n, &p->data, &attributes->frame, call->in[0], arrived,
+                              path, text);
+}
+
 static hg_status physics_forward(hg_call *call)
 {
     physics_call *attributes = call->attributes;
@@ -470,8 +516,7 @@ static hg_status physics_forward(hg_call *call)
     HG_TRY(run(p, call->ctx, &attributes->frame, x, recorded, &values, p->sums, NULL, attributes->gradient[0]));
     for (int i = 1; i < call->n_in && recorded; i++)
         if (!(attributes->gradient[i] = hg_physics_gradient(call->ctx, &values, call->in[i]))) return HG_MEMORY;
-    attributes->frame.inputs = NULL; /* the caller's, as long as its call */
-    attributes->frame.n_inputs = 0;
+    HG_TRY(keep_inputs(call->ctx, &attributes->frame));
     double total = 0;
     for (int t = 0; t < p->n; t++) total += p->terms[t].weight * p->sums[t];
     if (attributes->unweighted) memcpy(attributes->unweighted, p->sums, (size_t)p->n * sizeof(double));
@@ -521,10 +566,12 @@ static const hg_op physics_op = { .name = "physics",
                                   .attributes_size = sizeof(physics_call),
                                   .shape = physics_shape,
                                   .forward = physics_forward,
-                                  .backward = physics_backward };
+                                  .backward = physics_backward,
+                                  .explain = physics_explain };
 
 /* The inputs of the op are x and every other tensor that needs a gradient, each once. */
-hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted)
+hg_tensor *(hg_physics_energy)(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x,
+                               double *unweighted)
 {
     const physics_call attributes = { .physics = physics, .frame = *frame, .unweighted = unweighted };
     hg_tensor *const members[] = { frame->root_rotation, frame->root_position, frame->posed, frame->predicted,
@@ -543,5 +590,5 @@ hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *f
         }
         in[n++] = tensor;
     }
-    return hg_apply(ctx, &physics_op, n, in, &attributes);
+    return (hg_apply)(ctx, &physics_op, n, in, &attributes);
 }

@@ -193,6 +193,24 @@ static hg_status param(hg_physics_resolver *r, const char *name, hg_tensor *tens
     return HG_OK;
 }
 
+bool hg_physics_takes(const hg_physics_asks *asks, const hg_term *terms, int n, const char *name)
+{
+    const struct {
+        const char *name;
+        uint32_t kinds;
+    } others[] = { { "dt", HG_ALLOW(HG_INPUT_DT) },
+                   { "rest", HG_ALLOW(HG_INPUT_REST) | HG_ALLOW(HG_INPUT_ROOT_REST) },
+                   { "mass", HG_ALLOW(HG_INPUT_MASS) },
+                   { "q", HG_ALLOW(HG_INPUT_Q) } };
+    for (int t = 0; t < n; t++) {
+        const size_t length = strlen(terms[t].energy->name);
+        if (strncmp(name, terms[t].energy->name, length) == 0 && name[length] == '.') return true;
+    }
+    for (size_t i = 0; i < sizeof others / sizeof *others; i++)
+        if (strcmp(name, others[i].name) == 0) return (asks->kinds & others[i].kinds) != 0;
+    return find_name(asks->attributes, asks->n_attributes, name) || find_name(asks->frames, asks->n_frames, name);
+}
+
 static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tensor)
 {
     const hg_physics_asks *asks = r->asks;

@@ -19,6 +19,8 @@ typedef struct {
 
 hg_status hg_physics_asked(hg_physics_asks *asks, const hg_term *terms, int n);
 void hg_physics_asks_free(hg_physics_asks *asks);
+/* Is there an energy among the terms that takes an input of this name? */
+bool hg_physics_takes(const hg_physics_asks *asks, const hg_term *terms, int n, const char *name);
 
 /* The values of a call. */
 typedef struct {
@@ -47,5 +49,14 @@ void *hg_physics_gradient(hg_ctx *ctx, const hg_physics_values *values, const hg
 void hg_physics_variant(const hg_physics_resolver *resolver, const int32_t *column, int n_window,
                         hg_strand_variant *variant);
 bool hg_physics_same_variant(const hg_strand_variant *a, const hg_strand_variant *b);
+
+/* ---- what is not finite (physics_trap.c) ---------------------------------------------------------------------- */
+
+/* Adds to the message which energy is not finite at which frame, strand and vertex, in value or in force times `arrived`,
+ * the gradient that came to the energy; with a path (may be NULL) writes there the input of a `hairgrad loss` that shows
+ * it, and adds that command. */
+hg_status hg_physics_explain(hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n, const hg_groom_data *data,
+                             const hg_frame *frame, hg_tensor *x, double arrived, const char *path,
+                             hg_text *text);
 
 #endif
