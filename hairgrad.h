@@ -9,6 +9,7 @@
 #include "hairloss/hairloss.h"
 #include "models/models.h"
 #include "scene/scene.h"
+#include "solvers/solvers.h"
 #include "tasks/tasks.h"
 #include "tensor/tensor.h"
 #include "train/train.h"
