@@ -26,7 +26,8 @@ static hg_status read_import(const hg_arguments *arguments, hg_import *with)
     if (up && strcmp(up, "y") != 0 && strcmp(up, "z") != 0) return hg_fail(HG_INVALID, "--up %s: y or z", up);
     if (up) with->up = *up;
     if (!unit) return HG_OK;
-    char *text = hg_format("1 %s", unit);
+    bool length = *unit >= '0' && *unit <= '9';
+    char *text = hg_format(length ? "%s" : "1 %s", unit);
     hg_status status = text ? hg_unit_parse(text, "m", &with->unit) : HG_MEMORY;
     hg_free(text);
     HG_TRY(status);
@@ -254,7 +255,7 @@ static const hg_argument import_options[] = {
     { "output", "FILE.h5", "where to write (-o)", false },
     { "body", "BODY.h5", "groom, motion: the body it is for", false },
     { "vertices", "N", "groom: vertices per strand, by arc length (default 25)", false },
-    { "unit", "UNIT", "of the file, and of --source-mesh: m, cm, mm, inch (default m)", false },
+    { "unit", "UNIT", "of the file, and of --source-mesh: m, cm, mm, inch, or a length, \"0.4 m\" (default m)", false },
     { "up", "y|z", "axis that is up in the file (default y; AMASS z)", false },
     { "similarity", "S,X,Y,Z", "groom: x' = S x + (X,Y,Z) takes its head to the body, in metres, +Y up", false },
     { "find", NULL, "groom: find that similarity from --source-mesh", false },

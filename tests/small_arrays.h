@@ -78,6 +78,26 @@ static inline void small_zip_add(small_zip *zip, const char *name, const uint8_t
     zip->entries++;
 }
 
+/* Puts the right checksums into a zip whose bytes were changed, so that what lies behind them is tried, too. */
+static inline void small_zip_mend(uint8_t *bytes, size_t size)
+{
+    for (size_t at = 0; at + 74 <= size; at++) {
+        if (memcmp(bytes + at, "PK\1\2", 4) != 0) continue;
+        uint64_t local = 0, length = 0, name = 0, extra = 0, lengths[2] = { 0 };
+        memcpy(&length, bytes + at + 24, 4), memcpy(&local, bytes + at + 42, 4), memcpy(&name, bytes + at + 28, 2);
+        memcpy(&extra, bytes + at + 30, 2);
+        size_t wide = at + 46 + (size_t)name + 4;
+        if (extra >= 28 && length == 0xffffffff && wide + 24 <= size)
+            memcpy(&length, bytes + wide, 8), memcpy(&local, bytes + wide + 16, 8);
+        if (local > size || size - local < 30) continue;
+        memcpy(&lengths[0], bytes + local + 26, 2), memcpy(&lengths[1], bytes + local + 28, 2);
+        uint64_t data = local + 30 + lengths[0] + lengths[1];
+        if (data > size || length > size - data) continue;
+        uint32_t crc = (uint32_t)crc32(0, bytes + data, (uInt)length);
+        memcpy(bytes + at + 16, &crc, 4);
+    }
+}
+
 /* The directory after the entries: then bytes [size] are the file. */
 static inline void small_zip_end(small_zip *zip)
 {
