@@ -15,6 +15,11 @@ typedef struct {
     {                                                                                                                  \
         "gravity", { 0 }                                                                                               \
     }
+#define USUAL_CHAIN(strain_, root_)                                                                                    \
+    { "stretch", { 0 } }, { "bend_twist_chain", { strain_, root_ } },                                                  \
+    {                                                                                                                  \
+        "gravity", { 0 }                                                                                               \
+    }
 #define USUAL_CONTACT                                                                                                  \
     {                                                                                                                  \
         "body_collision", { "exact", "true" }                                                                          \
@@ -52,6 +57,14 @@ static const usual_term usual_sums[][USUAL_TERMS] = {
       { "inertia", { 0 } },
       { "hair_style", { 0 } } },
     { USUAL_STILL("published", "free"), { "body_collision", { "plane" } }, { "hair_style", { 0 } } },
+    /* with the frame carried along the strand */
+    { USUAL_CHAIN("published", "free"), { "inertia", { 0 } } },
+    { USUAL_CHAIN("published", "free"), USUAL_CONTACT, USUAL_MOVING },
+    { USUAL_CHAIN("published", "clamped"), USUAL_CONTACT, USUAL_MOVING },
+    { USUAL_CHAIN("smooth", "free"), USUAL_CONTACT, USUAL_MOVING },
+    { USUAL_CHAIN("smooth", "clamped"), USUAL_CONTACT, USUAL_MOVING },
+    { USUAL_CHAIN("published", "clamped"), USUAL_CONTACT },
+    { USUAL_CHAIN("smooth", "clamped"), USUAL_CONTACT },
 };
 enum { USUAL_SUMS = sizeof usual_sums / sizeof *usual_sums };
 
