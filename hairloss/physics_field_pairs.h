@@ -43,13 +43,14 @@ typedef struct {
 
 static hg_real HG_P(sum)(const hg_real *values, int n)
 {
-    hg_real lanes[16] = { 0 }, total = 0;
+    hg_real lanes[16] = { 0 };
     int k = 0;
     for (; k + 16 <= n; k += 16)
         for (int l = 0; l < 16; l++) lanes[l] += values[k + l];
     for (int l = 0; k + l < n; l++) lanes[l] += values[k + l];
-    for (int l = 0; l < 16; l++) total += lanes[l];
-    return total;
+    for (int half = 8; half > 0; half /= 2)
+        for (int l = 0; l < half; l++) lanes[l] += lanes[l + half];
+    return lanes[0];
 }
 
 /* The forces of the pairs of one vertex. */
@@ -121,6 +122,17 @@ static void HG_P(pair_cell)(const HG_P(pair_args) * a, const HG_P(candidates) * 
     }
 }
 
+/* Whole vectors: both sides have so many elements more. */
+static inline void HG_P(copy)(const hg_real *const from[3], int32_t first, int32_t n, HG_P(candidates) * c)
+{
+    for (int32_t k = 0; k < n; k += HG_CELL_PAD) {
+        memcpy(c->x + c->n + k, from[0] + first + k, HG_CELL_PAD * sizeof(hg_real));
+        memcpy(c->y + c->n + k, from[1] + first + k, HG_CELL_PAD * sizeof(hg_real));
+        memcpy(c->z + c->n + k, from[2] + first + k, HG_CELL_PAD * sizeof(hg_real));
+        for (int32_t l = 0; l < HG_CELL_PAD; l++) c->place[c->n + k + l] = first + k + l;
+    }
+}
+
 static void HG_P(walk_slab)(const HG_P(pair_args) * a, int64_t layer)
 {
     const hg_cells *cells = a->cells;
@@ -152,10 +164,7 @@ static void HG_P(walk_slab)(const HG_P(pair_args) * a, int64_t layer)
                     const int32_t room = HG_SCAN_PIECE - c.n, left_over = runs[r][1] - at,
                                   n = left_over < room ? left_over : room;
                     if (r == 0 && c.n == 0) c.own_first = at;
-                    memcpy(c.x + c.n, from[0] + at, (size_t)n * sizeof *c.x);
-                    memcpy(c.y + c.n, from[1] + at, (size_t)n * sizeof *c.y);
-                    memcpy(c.z + c.n, from[2] + at, (size_t)n * sizeof *c.z);
-                    for (int32_t k = 0; k < n; k++) c.place[c.n + k] = at + k;
+                    HG_P(copy)(from, at, n, &c);
                     c.n += n;
                     c.own += r == 0 ? n : 0;
                     at += n;

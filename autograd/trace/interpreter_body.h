@@ -145,16 +145,16 @@ static void NAME(function_run)(const hg_function *f, int64_t n, const void *cons
                               [HG_PLACE_NUMBER] = f->NAME(numbers),
                               [HG_PLACE_IN] = ins,
                               [HG_PLACE_OUT] = outs };
+    for (int i = 0; i < f->n_inputs; i++)
+        for (int l = 0; l < LANES && !(in && in[i]); l++) ins[i * LANES + l] = (REAL)uniform[i];
     for (int64_t first = 0; first < n; first += LANES) {
         const int64_t count = n - first < LANES ? n - first : LANES;
         for (int i = 0; i < f->n_inputs; i++) {
+            if (!in || !in[i]) continue;
             REAL *to = ins + i * LANES;
-            if (in && in[i]) {
-                const REAL *from = (const REAL *)in[i] + first;
-                for (int64_t l = 0; l < LANES; l++) to[l] = from[l < count ? l : count - 1];
-            } else {
-                for (int l = 0; l < LANES; l++) to[l] = (REAL)uniform[i];
-            }
+            const REAL *from = (const REAL *)in[i] + first;
+            memcpy(to, from, (size_t)count * sizeof *to);
+            for (int64_t l = count; l < LANES; l++) to[l] = from[count - 1];
         }
         NAME(hg_steps_run)(&f->NAME(steps), base);
         for (int j = 0; j < f->n_outputs; j++)
@@ -243,10 +243,9 @@ static void NAME(interpret)(const hg_strand_program *p, const hg_strand_args *ar
         }
         for (int j = 0; j < p->n_inputs; j++) {
             const hg_strand_input *input = &p->inputs[j];
-            if (args->strand_input[j])
-                NAME(transpose_in)
-                (inputs + input->first * LANES, (const REAL *)args->strand_input[j] + input->width * at, input->width,
-                 count);
+            if (args->strand_input[j]) NAME(transpose_in)
+            (inputs + input->first * LANES, (const REAL *)args->strand_input[j] + input->width * at, input->width,
+             count);
         }
         memset(energy, 0, (size_t)((p->n_terms + p->n_adjoint) * LANES) * sizeof(REAL));
         base[HG_PLACE_GROOM_STRAND] = (REAL *)args->groom_strand + stored * p->n_groom_strand * LANES;
@@ -268,16 +267,14 @@ static void NAME(interpret)(const hg_strand_program *p, const hg_strand_args *ar
         for (int k = 0; k < p->n_arrays; k++) {
             const hg_strand_input *array = &p->arrays[k];
             const int64_t width = array->width * (V - array->missing);
-            if (array->gradient && args->array_gradient[k])
-                NAME(transpose_out)
-                ((REAL *)args->array_gradient[k] + at * width, TILE(array->gradient_tile), width, count);
+            if (array->gradient && args->array_gradient[k]) NAME(transpose_out)
+            ((REAL *)args->array_gradient[k] + at * width, TILE(array->gradient_tile), width, count);
         }
         for (int j = 0; j < p->n_inputs; j++) {
             const hg_strand_input *input = &p->inputs[j];
-            if (input->gradient && args->strand_input_gradient[j])
-                NAME(transpose_out)
-                ((REAL *)args->strand_input_gradient[j] + input->width * at, input_gradients + input->first * LANES,
-                 input->width, count);
+            if (input->gradient && args->strand_input_gradient[j]) NAME(transpose_out)
+            ((REAL *)args->strand_input_gradient[j] + input->width * at, input_gradients + input->first * LANES,
+             input->width, count);
         }
         for (int k = 0; k < p->n_terms; k++) {
             double sum = 0;
