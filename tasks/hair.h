@@ -108,6 +108,7 @@ struct hg_hair_task {
     hg_dtype compute; /* of the network's products in a training step; validations are f32 */
     char *folder, *backend, *backend_note, *start_from; /* start_from: a checkpoint; NULL: none */
     bool opened;                         /* a finished run: nothing is trained or written */
+    bool folder_made, encoder_trained;   /* now: not there before */
 
     hg_body *body;
     hg_hair_style *styles;       /* [n_grooms + 1]: those trained on, then one that is only draped */
@@ -152,6 +153,7 @@ struct hg_hair_task {
 hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file);
+hg_status hg_hair_encoder_keep(const hg_hair_task *task); /* in the run folder, when it was trained now */
 hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file);
 hg_status hg_hair_strands_encode(hg_hair_task *task); /* strand features of all grooms from the encoder as it is */
 hg_status hg_hair_style_strands(hg_hair_task *task,

@@ -2,8 +2,10 @@
  * what a checkpoint adds. See docs/neuralocks.md for the features. */
 #include "tasks/hair.h"
 
+#include <errno.h>
 #include <math.h>
 #include <string.h>
+#include <unistd.h>
 
 /* ---- network ------------------------------------------------------------------------------------------------ */
 
@@ -363,14 +365,26 @@ static hg_status load(void *self, hg_h5 *file)
 
 /* ---- create and destroy ------------------------------------------------------------------------------------- */
 
-static hg_status write_echo(const hg_hair_task *task, const char *echo)
+/* The folder is made at once, so that one that cannot be written is known before anything is trained; what goes into it,
+ * only when the whole config was accepted. */
+static hg_status take_folder(hg_hair_task *task, const char *folder)
 {
-    HG_TRY(hg_folder_create(task->folder));
-    char *path = hg_path_join(task->folder, "config.yaml");
-    if (!path) return HG_MEMORY;
-    const hg_status status = hg_file_write(path, echo, strlen(echo));
+    task->folder = hg_strdup(folder);
+    if (!task->folder) return HG_MEMORY;
+    if (task->opened) return HG_OK;
+    task->folder_made = !hg_file_exists(folder);
+    HG_TRY(hg_folder_create(folder));
+    return access(folder, W_OK) == 0 ? HG_OK
+                                     : hg_fail(HG_IO, "%s: the folder cannot be written (%s)", folder, strerror(errno));
+}
+
+static hg_status fill_folder(const hg_hair_task *task)
+{
+    char *path = hg_path_join(task->folder, "config.yaml"), *echo = hg_config_echo(task->config);
+    hg_status status = path && echo ? hg_file_write(path, echo, strlen(echo)) : HG_MEMORY;
     hg_free(path);
-    return status;
+    hg_free(echo);
+    return status == HG_OK ? hg_hair_encoder_keep(task) : status;
 }
 
 static hg_status take_config(hg_hair_task *task, const hg_config *config, const char *folder)
@@ -380,13 +394,8 @@ static hg_status take_config(hg_hair_task *task, const hg_config *config, const 
     char *echo = hg_config_echo(task->config);
     if (!echo) return HG_MEMORY;
     task->config_hash = hg_hash(echo, strlen(echo), hg_ctx_seed(task->ctx));
-    hg_status status = HG_OK;
-    if (folder) {
-        task->folder = hg_strdup(folder);
-        status = !task->folder ? HG_MEMORY : task->opened ? HG_OK : write_echo(task, echo);
-    }
     hg_free(echo);
-    return status;
+    return folder ? take_folder(task, folder) : HG_OK;
 }
 
 /* The checkpoint that `training.start_from` means: a file, or the best one of a run. */
@@ -497,7 +506,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
     if (!task->backend || !task->backend_note) return HG_MEMORY;
     task->options = train_options(task);
-    return HG_OK;
+    return task->folder && !task->opened ? fill_folder(task) : HG_OK;
 }
 
 static hg_status create_or_open(hg_hair_task **out, hg_ctx *ctx, const hg_config *config, const char *run_folder,
@@ -510,6 +519,7 @@ static hg_status create_or_open(hg_hair_task **out, hg_ctx *ctx, const hg_config
     task->opened = opened;
     const hg_status status = create(task, config, run_folder, progress);
     if (status != HG_OK) {
+        if (task->folder_made) rmdir(task->folder); /* only where it is still empty */
         hg_hair_task_destroy(task);
         return status;
     }

@@ -260,6 +260,16 @@ static hg_status stored_encoder(hg_hair_task *task, const char *path, uint64_t h
     return HG_OK;
 }
 
+hg_status hg_hair_encoder_keep(const hg_hair_task *task)
+{
+    if (!task->encoder_trained) return HG_OK;
+    char *path = hg_path_join(task->folder, "encoder.h5");
+    if (!path) return HG_MEMORY;
+    const hg_status status = hg_checkpoint_save(path, task->encoder, NULL, 0, NULL, "", encoder_hash(task));
+    hg_free(path);
+    return status;
+}
+
 hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress)
 {
     const hg_groom *groom = task->groom;
@@ -292,7 +302,7 @@ hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress
             status = strands ? train_encoder(task, strands, inputs, progress) : HG_MEMORY;
             hg_free(strands);
         }
-        if (status == HG_OK && path) status = hg_checkpoint_save(path, task->encoder, NULL, 0, NULL, "", hash);
+        task->encoder_trained = status == HG_OK;
     }
     hg_free(path);
     HG_TRY(status);

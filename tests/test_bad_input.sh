@@ -57,7 +57,7 @@ refused "missing argument" 'something is missing' "$program" train
 refused "option without value" '(--output|-o) needs a value' "$program" train tiny.yaml -o
 refused "number that is none" '"many" is not an integer' "$program" make groom --strands many -o keep/groom.h5
 refused "unknown energy" 'unknown .*"strech"; did you mean "stretch"\?' "$program" gradcheck strech
-refused "plug-in that is none" 'is not a plug-in that can be loaded' "$program" --plugin tiny.yaml losses
+refused "plug-in that is none" 'tiny.yaml: .*cannot be loaded|not a plug-in' "$program" --plugin tiny.yaml losses
 
 # ---- configs
 change() { sed "$1" tiny.yaml >changed.yaml; }
@@ -67,7 +67,6 @@ change 's/stiffness: 2 N\/m/stiffness: 2 mm/'; refused "wrong unit" 'changed.yam
 change 's/steps: 40/steps: forty/'; refused "wrong type" 'changed.yaml:7: .*"forty" is not an integer' "$program" train changed.yaml -o run
 change 's/steps: 40/steps: 0/'; refused "out of range" 'changed.yaml:7: .*between 1 and' "$program" train changed.yaml -o run
 change 's/^model:/scene: {}\nmodel:/'; refused "section twice" 'changed.yaml:2: section "scene" was already given in line 1' "$program" train changed.yaml -o run
-if [ -e run ]; then wrong "a recipe that cannot be read makes no run folder" "$(find run)"; else ok "a recipe that cannot be read makes no run folder"; fi
 change 's/\[nod\]/[nodd]/'; refused "unknown motion" 'nodd' "$program" train changed.yaml -o run
 change 's/^model: {/model: {kind: neuralock, /'; refused "unknown network" 'neuralock' "$program" train changed.yaml -o run
 printf 'scene: [unclosed\n' >changed.yaml; refused "not YAML" 'changed.yaml:2: not valid YAML' "$program" train changed.yaml -o run
@@ -75,7 +74,11 @@ refused "no recipe" 'missing.yaml: cannot be opened \(No such file or directory\
 refused "zero mass" 'linear_density=0 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=0 kg/m"
 refused "negative mass" 'linear_density=-1 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=-1 kg/m"
 refused "misspelt override" 'unknown key "training.stpes"; did you mean "steps"\?' "$program" train tiny.yaml -o run --set training.stpes=3
-rm -rf run
+change 's/history: 2,/history: 2, pose_joints: [Haed],/'; refused "unknown joint" 'Haed' "$program" train changed.yaml -o run
+change 's/^losses:/losses: {}\nnothing:/; /stretch/d; /gravity/d'; refused "no energy" '.' "$program" train changed.yaml -o run
+refused "missing scene file of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set scene.groom=missing.h5
+refused "missing motion of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set 'scene.motions=[missing.h5]'
+if [ -e run ]; then wrong "a recipe that is refused leaves no run folder" "$(find run)"; else ok "a recipe that is refused leaves no run folder"; fi
 
 # ---- files that are missing
 refused "missing groom file" 'missing.tfx: cannot be opened' "$program" import groom missing.tfx --body keep/bust.h5 -o keep/groom.h5
@@ -84,8 +87,6 @@ refused "missing body folder" 'missing' "$program" import body missing -o keep/b
 refused "missing motion" 'missing.bvh: cannot be opened' "$program" import motion missing.bvh --body keep/bust.h5 -o keep/motion.h5
 refused "missing run" 'missing' "$program" evaluate missing
 refused "missing drape" 'missing.vtkhdf: cannot be opened' "$program" render missing.vtkhdf -o keep/x.png
-refused "missing scene file of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set scene.groom=missing.h5
-refused "missing motion of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set 'scene.motions=[missing.h5]'
 
 # ---- files that lie
 import_groom() { refused "$1" "$2" "$program" import groom "bad/$3" --body keep/bust.h5 -o keep/groom.h5; }
@@ -137,10 +138,17 @@ refused "output folder that is missing" 'keep/none/x.h5: cannot be written' "$pr
 refused "output that is a folder" 'is a folder' "$program" make bust -o keep
 refused "run folder that is a file" 'is a file|cannot be made' "$program" train tiny.yaml -o keep/bust.h5
 refused "run folder that cannot be made" 'cannot be made|cannot be written' "$program" train tiny.yaml -o /proc/hairgrad/run
-if [ "$(id -u)" != 0 ]; then
-    mkdir closed && chmod 555 closed
-    refused "folder that may not be written" 'closed.*Permission denied' "$program" train tiny.yaml -o closed/run
-else echo "skip folder that may not be written (nothing is closed to root)"; fi
+mkdir closed closed/run && chmod 555 closed/run closed
+chmod 755 "$work" && chmod a+r tiny.yaml
+if [ "$(id -u)" != 0 ]; then user=""
+elif command -v setpriv >/dev/null 2>&1 && setpriv --reuid=65534 --regid=65534 --clear-groups test -x "$program" -a -r "$build/libhairgrad.so" 2>/dev/null; then user="setpriv --reuid=65534 --regid=65534 --clear-groups"
+else user=none; fi
+if [ "$user" != none ]; then # nothing is closed to root: another user tries
+    # shellcheck disable=SC2086
+    { refused "folder that may not be made" 'closed.*Permission denied' $user "$program" train tiny.yaml -o closed/other
+    refused "folder that may not be written" 'closed/run: the folder cannot be written \(Permission denied\)' $user "$program" train tiny.yaml -o closed/run
+    refused "file that may not be written" 'closed/x.h5: cannot be written \(Permission denied\)' $user "$program" make bust -o closed/x.h5; }
+else echo "skip folder that may not be written (root, and no other user may run the program)"; fi
 
 # ---- a full disk during a checkpoint: the last one stays, and the run can go on
 "$program" train tiny.yaml -o keep/run --set training.steps=4 >/dev/null 2>&1 || { echo "not ok a short run"; failed=1; }
