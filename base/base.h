@@ -199,6 +199,7 @@ int         hg_config_count(const hg_config *config, const char *key);          
 double      hg_config_number_at(const hg_config *config, const char *key, int i);
 const char *hg_config_text_at(const hg_config *config, const char *key, int i);
 int         hg_config_line(const hg_config *config, const char *key);               /* 0 when not in the file */
+void        hg_config_lines(hg_config *config, const hg_config *from);              /* of a copy: every key stands where it stood in `from` */
 const char *hg_config_name(const hg_config *config);                                /* the path given */
 char       *hg_config_echo(const hg_config *config);                                /* every value, defaults too, as YAML that loads to the same */
 hg_status   hg_unit_parse(const char *text, const char *unit, double *value);       /* "5 mm", "m" -> 0.005 */

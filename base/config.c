@@ -478,3 +478,15 @@ int hg_config_line(const hg_config *config, const char *key)
 }
 
 const char *hg_config_name(const hg_config *config) { return config->name; }
+
+void hg_config_lines(hg_config *config, const hg_config *from)
+{
+    for (int i = 0; i < config->count; i++) {
+        const config_entry *entry = config_find(from, config->entries[i].row.key);
+        config->entries[i].line = entry != NULL ? entry->line : 0;
+    }
+    for (int i = 0; i < config->section_count; i++) {
+        int line = config_section_line(from, config->sections[i].path);
+        config->sections[i].line = line > 0 ? line : 0;
+    }
+}

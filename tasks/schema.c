@@ -239,6 +239,7 @@ hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config)
     hg_status status = hg_config_parse(copy, text, hg_config_name(config), schema_rows, n);
     hg_free(text);
     if (status == HG_OK) status = copy_weights(*copy, config);
+    if (status == HG_OK) hg_config_lines(*copy, config);
     if (status != HG_OK) {
         hg_config_destroy(*copy);
         *copy = NULL;

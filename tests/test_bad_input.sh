@@ -74,10 +74,12 @@ refused "no recipe" 'missing.yaml: cannot be opened \(No such file or directory\
 refused "zero mass" 'linear_density=0 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=0 kg/m"
 refused "negative mass" 'linear_density=-1 kg/m: .* is out of range' "$program" train tiny.yaml -o run --set "scene.linear_density=-1 kg/m"
 refused "misspelt override" 'unknown key "training.stpes"; did you mean "steps"\?' "$program" train tiny.yaml -o run --set training.stpes=3
-change 's/history: 2,/history: 2, pose_joints: [Haed],/'; refused "unknown joint" 'Haed' "$program" train changed.yaml -o run
+change 's/history: 2,/history: 2, pose_joints: [Haed],/'; refused "unknown joint" 'changed.yaml:3: .*Haed' "$program" train changed.yaml -o run
 change 's/^losses:/losses: {}\nnothing:/; /stretch/d; /gravity/d'; refused "no energy" '.' "$program" train changed.yaml -o run
 refused "missing scene file of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set scene.groom=missing.h5
 refused "missing motion of a recipe" 'missing.h5' "$program" train tiny.yaml -o run --set 'scene.motions=[missing.h5]'
+refused "motion of other joints in a recipe" 'tiny.yaml: scene.motions: .*other_joints.h5: .*missing .*extra Tail' "$program" train tiny.yaml -o run --set "scene.motions=[$work/bad/other_joints.h5]"
+refused "held-out motion of other joints" 'scene.held_out: .*other_joints.h5: .*extra Tail' "$program" train tiny.yaml -o run --set "scene.motions=[$work/keep/motion.h5]" --set "scene.held_out=[$work/bad/other_joints.h5]"
 if [ -e run ]; then wrong "a recipe that is refused leaves no run folder" "$(find run)"; else ok "a recipe that is refused leaves no run folder"; fi
 
 # ---- files that are missing
@@ -175,6 +177,7 @@ done
 if [ -s whole.log ] && cmp whole.h5 cut.h5 >stderr 2>&1 && cmp whole.log cut.log >>stderr 2>&1; then ok "a killed run goes on to the same bits"
 else cat whole.log cut.log >>stderr; wrong "a killed run goes on to the same bits" "the runs differ"; fi
 refused "run folder that holds a run" 'resume|again' "$program" train tiny.yaml -o whole
+refused "drape with a motion of other joints" 'other_joints.h5: .*missing .*extra Tail' "$program" drape whole --motion bad/other_joints.h5 -o keep/drape.vtkhdf
 printf 'nonsense' >cut/checkpoint.h5; rm -f cut/best.h5
 refused "damaged checkpoint" 'checkpoint.h5: ' "$program" train tiny.yaml -o cut --resume
 refused "damaged run" 'checkpoint.h5: ' "$program" evaluate cut

@@ -52,6 +52,15 @@ static void test_values(void **state)
     assert_int_equal(hg_config_line(config, "training.steps"), 6);
     assert_int_equal(hg_config_line(config, "losses.drag"), 10);
     assert_int_equal(hg_config_line(config, "motion.angle"), 0);
+    char *echo = hg_config_echo(config); /* a copy knows where things stood in the original */
+    hg_config *copy = parsed(echo);
+    assert_true(hg_config_line(copy, "motion.angle") > 0);
+    hg_config_lines(copy, config);
+    assert_int_equal(hg_config_line(copy, "training.steps"), 6);
+    assert_int_equal(hg_config_line(copy, "losses.drag"), 10);
+    assert_int_equal(hg_config_line(copy, "motion.angle"), 0);
+    hg_config_destroy(copy);
+    hg_free(echo);
     /* Asking for what was not declared. */
     assert_true(isnan(hg_config_number(config, "x"))), assert_true(isnan(hg_config_number(config, "scene.groom")));
     assert_null(hg_config_text(config, "x")), assert_int_equal(hg_config_count(config, "x"), 0),
