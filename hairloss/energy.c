@@ -87,6 +87,12 @@ const char *hg_term_option(const hg_term *term, const char *name)
     return NULL;
 }
 
+bool hg_term_weighs(const hg_term *term)
+{
+    const char *kernel_mass = hg_term_option(term, "kernel_mass");
+    return term->energy->site.kind == HG_SITE_FIELD && kernel_mass && strcmp(kernel_mass, "kg") == 0;
+}
+
 const double *hg_groom_attribute_find(const hg_groom_data *data, const char *name)
 {
     for (int i = 0; i < data->n_attributes; i++)

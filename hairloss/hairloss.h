@@ -60,8 +60,28 @@ typedef struct {
 
 const hg_energy *hg_energy_find(const char *name);               /* NULL and hg_message() with the nearest name */
 
-/* The gradient of one energy against finite differences, on a small scene of its own. options as in hg_term. Resets the step. */
-hg_status hg_energy_gradcheck(hg_ctx *ctx, const hg_energy *energy, const char *const *options, const hg_gradcheck_options *how, hg_gradcheck_result *result);
+/* What an energy asks for with these options (as in hg_term; NULL: the defaults), found by tracing its formulas. posed_given:
+ * the frame brings the posed groom; otherwise it is made of rest, root_rotation and root_position, and those are listed. */
+#define HG_ENERGY_INPUTS 24
+typedef struct {
+    char name[64];                                 /* "x", "rest", an attribute of the groom, an array of the frame */
+    const char *shape;                             /* "[B,S,V,3]": B frames, G grooms */
+    bool differentiable, optional;                 /* optional: physics makes it where it is absent */
+} hg_energy_input;
+typedef struct {
+    int n; hg_energy_input input[HG_ENERGY_INPUTS];
+    bool scan;                                     /* carries values along the strand */
+    uint32_t params, kernel_params;                /* bit i: energy->params[i] is read by the formula; by the kernel of a field */
+} hg_energy_inputs;
+hg_status hg_energy_asks(const hg_energy *energy, const char *const *options, bool posed_given, hg_energy_inputs *inputs);
+
+/* The gradients of one energy against finite differences, on a small scene of its own: in x and in everything else that it
+ * asks for, params included, one after another. wrt: one of them by name, NULL: all. checks (may be NULL) gets each. The
+ * status is that of the first that fails, and the message names energy, input, frame, strand and vertex. Resets the step. */
+#define HG_ENERGY_CHECKS (HG_ENERGY_INPUTS + HG_ENERGY_PARAMS)
+typedef struct { char name[64]; hg_status status; hg_gradcheck_result result; } hg_energy_check;
+hg_status hg_energy_gradcheck(hg_ctx *ctx, const hg_energy *energy, const char *const *options, const char *wrt, const hg_gradcheck_options *how,
+                              hg_energy_check checks[HG_ENERGY_CHECKS], int *n);
 
 /* ---- physics ------------------------------------------------------------------------------------------------ */
 

@@ -43,9 +43,13 @@ typedef struct {
 
 /* Scope for tracing a term's formulas: names of params and chosen options filled in. */
 void hg_term_scope(hg_trace_scope *scope, const hg_term *term, int number, uint32_t allowed);
+/* Adds the bits of the params that a formula reads. */
+hg_status hg_formula_params(hg_scalar (*formula)(void), const hg_trace_scope *scope, uint32_t *params);
 /* Value of the param `name` of a completed term; NAN when it has none. The choice of the option `name`: NULL when none. */
 double hg_term_param(const hg_term *term, const char *name);
 const char *hg_term_option(const hg_term *term, const char *name);
+/* Does the field of the term weigh its neighbours with their masses? The option kernel_mass says so. */
+bool hg_term_weighs(const hg_term *term);
 /* Attribute [G,S,V] of the groom data, NULL when absent. */
 const double *hg_groom_attribute_find(const hg_groom_data *data, const char *name);
 /* Params and options of a term with the defaults filled in; a wrong choice is an error. */

@@ -170,7 +170,7 @@ static hg_status make_kernel(field_pass *pass)
     HG_TRY(hg_function_create(&pass->kernel_slope, energy->kernel, &scope, 1, &pass->kernel_distance, inputs->n,
                               inputs->inputs));
     HG_TRY(hg_function_create(&pass->kernel_full, energy->kernel, &scope, inputs->n, wrt, inputs->n, inputs->inputs));
-    return hg_pass_asked_params(&scope, energy->kernel, &pass->kernel_params);
+    return hg_formula_params(energy->kernel, &scope, &pass->kernel_params);
 }
 
 static hg_status make_function(field_pass *pass)
@@ -236,8 +236,7 @@ static hg_status field_make(field_pass *pass, const hg_pass_setup *setup)
     pass->reach = hg_pass_param(&pass->pass, energy->reach);
     if (!energy->kernel || pass->reach < 0)
         return hg_fail(HG_INVALID, "%s: a field energy needs a kernel and a reach", energy->name);
-    const char *kernel_mass = hg_term_option(&setup->term, "kernel_mass");
-    pass->weighs = kernel_mass && strcmp(kernel_mass, "kg") == 0;
+    pass->weighs = hg_term_weighs(&setup->term);
     const size_t n = (size_t)(pass->pass.strands * pass->pass.vertices) + 1, real = sizeof(double);
     void **arrays[] = { &pass->sums, &pass->slope, &pass->rest_slope, &pass->slope_place, &pass->mass_place };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++)

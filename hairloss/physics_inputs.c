@@ -24,6 +24,7 @@ hg_status hg_physics_asked(hg_physics_asks *asks, const hg_term *terms, int n)
 {
     for (int t = 0; t < n; t++) {
         const hg_energy *energy = terms[t].energy;
+        if (hg_term_weighs(&terms[t])) asks->kinds |= HG_ALLOW(HG_INPUT_MASS);
         const hg_site_kind site = energy->site.kind;
         hg_scalar (*const formulas[3])(void) = { energy->trace, energy->root, energy->kernel };
         for (int f = 0; f < 3; f++) {

@@ -1,8 +1,6 @@
 /* What the passes over pairs and over fields share: the sources of an energy's numbers, and the walk over frames. */
 #include "hairloss/physics_pass.h"
 
-#include "autograd/trace/graph.h"
-
 #include <string.h>
 
 int hg_pass_inputs_add(hg_pass_inputs *list, hg_input input, int source, int side)
@@ -51,20 +49,6 @@ void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from)
             ((double *)to)[i] = from[i];
     }
     return to;
-}
-
-hg_status hg_pass_asked_params(const hg_trace_scope *scope, hg_scalar (*formula)(void), uint32_t *params)
-{
-    hg_graph graph;
-    int node;
-    *params = 0;
-    hg_graph_init(&graph, 0, true);
-    const hg_status status = hg_graph_trace(&graph, formula, scope, &node, NULL);
-    for (int i = 0; status == HG_OK && i < graph.n; i++)
-        if (graph.nodes[i].op == HG_NODE_INPUT && graph.nodes[i].input.kind == HG_INPUT_PARAM)
-            *params |= 1u << graph.nodes[i].input.name;
-    hg_graph_free(&graph);
-    return status;
 }
 
 void hg_pass_free(hg_pass *pass)

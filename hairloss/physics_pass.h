@@ -73,8 +73,6 @@ int hg_pass_inputs_add(hg_pass_inputs *list, hg_input input, int source, int sid
 void hg_pass_inputs_add_uniform(hg_pass_inputs *list, const hg_pass *pass, bool dt); /* the params, and the time step */
 void hg_pass_inputs_fill(hg_pass_inputs *list, const hg_pass *pass);
 
-/* Bits of the params that a formula asks for. */
-hg_status hg_pass_asked_params(const hg_trace_scope *scope, hg_scalar (*formula)(void), uint32_t *params);
 /* n numbers in the precision of the pass, to be freed. */
 void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from);
 

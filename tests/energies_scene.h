@@ -3,7 +3,7 @@
 #ifndef ENERGIES_SCENE_H
 #define ENERGIES_SCENE_H
 
-#include "asks.h"
+#include "hairloss/hairloss.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -14,7 +14,7 @@ typedef struct {
     int64_t G, B, S, V;
     double *rest, *mass, *body_distance, *scalp_distance;           /* [G,S,V,..] */
     double *x, *predicted, *previous, *posed, *rotation, *position; /* [B,S,V,3], [B,S,4], [B,S,3] */
-    double *q, *ghost, *deformation;                                /* [B,S,V-1,4], [B,S,V,3] */
+    double *ghost, *deformation, *q;                                /* [B,S,V,3], [B,S,V-1,4] */
     int32_t *groom;                                                 /* [B] */
     double body_rest[8 * 3], *body;                                 /* [8,3], [B,8,3] */
     hg_body_tree *tree;
@@ -54,6 +54,50 @@ static inline void make_posed(scene *s)
     }
 }
 
+static inline void multiply(const double a[4], const double b[4], double to[4])
+{
+    const double product[4] = { a[0] * b[0] - a[1] * b[1] - a[2] * b[2] - a[3] * b[3],
+                                a[0] * b[1] + a[1] * b[0] + a[2] * b[3] - a[3] * b[2],
+                                a[0] * b[2] + a[2] * b[0] + a[3] * b[1] - a[1] * b[3],
+                                a[0] * b[3] + a[3] * b[0] + a[1] * b[2] - a[2] * b[1] };
+    memcpy(to, product, sizeof product);
+}
+
+/* The rotation that takes unit vector a to b by the shortest way. */
+static inline void shortest(const double a[3], const double b[3], double to[4])
+{
+    const double w = 1 + a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
+    const double v[3] = { a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0] };
+    const double length = sqrt(w * w + v[0] * v[0] + v[1] * v[1] + v[2] * v[2]);
+    to[0] = length > 0 ? w / length : 0;
+    for (int c = 0; c < 3; c++) to[1 + c] = length > 0 ? v[c] / length : 0;
+}
+
+/* The orientations of the rest edges, parallel from edge to edge and turned with the root; every second one with the other
+ * sign, which is the same rotation. */
+static inline void make_q(scene *s)
+{
+    for (int64_t i = 0; i < s->B * s->S; i++) {
+        const int64_t strand = i % s->S, groom = s->groom[i / s->S];
+        const double *rest = s->rest + (groom * s->S + strand) * s->V * 3;
+        double frame[4] = { 1, 0, 0, 0 }, last[3] = { 0, 0, 1 };
+        for (int64_t v = 0; v + 1 < s->V; v++) {
+            double edge[3], turn[4], length = 0;
+            for (int c = 0; c < 3; c++) {
+                edge[c] = rest[3 * v + 3 + c] - rest[3 * v + c];
+                length += edge[c] * edge[c];
+            }
+            for (int c = 0; c < 3; c++) edge[c] /= sqrt(length);
+            shortest(last, edge, turn);
+            multiply(turn, frame, frame);
+            memcpy(last, edge, sizeof last);
+            double *q = s->q + 4 * (i * (s->V - 1) + v);
+            multiply(s->rotation + 4 * i, frame, q);
+            for (int c = 0; v % 2 && c < 4; c++) q[c] = -q[c];
+        }
+    }
+}
+
 /* bend: how far x is from the posed groom, in edge lengths */
 static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t V, double bend)
 {
@@ -69,13 +113,12 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
     s->predicted = numbers(B * S * V * 3);
     s->previous = numbers(B * S * V * 3);
     s->posed = numbers(B * S * V * 3);
+    s->ghost = numbers(B * S * V * 3);
+    s->deformation = numbers(B * S * V * 3);
+    s->q = numbers(B * S * V * 4);
     s->rotation = numbers(B * S * 4);
     s->position = numbers(B * S * 3);
     s->body = numbers(B * 24);
-    s->q = numbers(B * S * V * 4);
-    s->ghost = numbers(B * S * V * 3);
-    s->deformation = numbers(B * S * V * 3);
-    for (int64_t i = 0; i < B * S * V * 4; i++) s->q[i] = noise(30, i);
     s->groom = hg_alloc((size_t)B + 1, sizeof *s->groom);
     for (int64_t i = 0; i < G * S; i++) {
         double at[3] = { 0.03 * noise(1, 3 * i), 0.002 + 0.002 * (1 + noise(1, 3 * i + 1)),
@@ -106,17 +149,17 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
         s->x[i] = s->posed[i] + bend * edge * noise(10, i);
         s->previous[i] = s->posed[i] + 0.3 * edge * noise(11, i);
         s->predicted[i] = s->posed[i] + 0.3 * edge * noise(12, i);
+        s->ghost[i] = s->posed[i] + (bend > 0 ? 3 * edge * noise(13, i) : 0);
+        s->deformation[i] = edge * noise(14, i);
     }
+    make_q(s);
+    for (int64_t i = 0; bend > 0 && i < B * S * (V - 1) * 4; i++) s->q[i] += 0.3 * noise(15, i);
     for (int i = 0; i < 8; i++) { /* a box whose upper face is y = 0 */
         const double corner[3] = { i & 1 ? 0.1 : -0.1, i & 2 ? 0 : -0.1, i & 4 ? 0.1 : -0.1 };
         for (int c = 0; c < 3; c++) {
             s->body_rest[3 * i + c] = corner[c];
             for (int64_t b = 0; b < B; b++) s->body[24 * b + 3 * i + c] = corner[c];
         }
-    }
-    for (int64_t i = 0; i < B * S * V * 3; i++) {
-        s->ghost[i] = s->posed[i] + 0.4 * edge * noise(31, i);
-        s->deformation[i] = edge * noise(32, i);
     }
     if (hg_body_tree_create(&s->tree, 8, s->body_rest, 12, faces) != HG_OK) abort();
     s->attributes[0] = (hg_groom_attribute){ "body_distance", s->body_distance };
@@ -133,10 +176,9 @@ static inline void scene_make(scene *s, int64_t G, int64_t B, int64_t S, int64_t
 
 static inline void scene_free(scene *s)
 {
-    double *arrays[] = {
-        s->rest,  s->mass,     s->body_distance, s->scalp_distance, s->x, s->predicted, s->previous,
-        s->posed, s->rotation, s->position,      s->body,           s->q, s->ghost,     s->deformation
-    };
+    double *arrays[] = { s->rest,        s->mass,  s->body_distance, s->scalp_distance, s->x,    s->predicted,
+                         s->previous,    s->posed, s->rotation,      s->position,       s->body, s->ghost,
+                         s->deformation, s->q };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
     hg_free(s->groom);
     hg_body_tree_destroy(s->tree);
@@ -165,15 +207,6 @@ static inline hg_frame scene_frame(const scene *s, hg_ctx *ctx, hg_dtype dtype)
                        .predicted = upload(ctx, dtype, 4, vertices, s->predicted),
                        .previous = upload(ctx, dtype, 4, vertices, s->previous),
                        .body_vertices = upload(ctx, dtype, 3, body, s->body) };
-}
-
-/* The arrays that the terms ask for by name, in inputs[3]. */
-static inline void scene_bring(const scene *s, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
-                               hg_frame *frame, hg_frame_input inputs[3])
-{
-    const test_array arrays[] = { { "q", 4, s->q }, { "ghost", 3, s->ghost }, { "deformation", 3, s->deformation } };
-    frame->n_inputs = bring_arrays(ctx, dtype, terms, n, (int64_t[]){ s->B, s->S, s->V }, 3, arrays, inputs);
-    frame->inputs = inputs;
 }
 
 static inline hg_tensor *scene_x(const scene *s, hg_ctx *ctx, hg_dtype dtype)

@@ -11,7 +11,7 @@
 #include <stdarg.h>
 #include <cmocka.h>
 
-enum { MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
+enum { MAX_INPUTS = 16, MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
 
 typedef struct {
     hg_term term;
@@ -67,6 +67,33 @@ static inline void ok(hg_status status, const char *label)
 
 static inline double value(const hg_tensor *tensor, int64_t i) { return hg_tensor_item(tensor, i); }
 
+/* Brings the arrays that the energies ask for by name; of a name of a test's own, something. They live as long as the step. */
+static inline void scene_bring(const scene *s, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
+                               hg_frame *frame)
+{
+    const int64_t vertices[4] = { s->B, s->S, s->V, 3 }, edges[4] = { s->B, s->S, s->V - 1, 4 };
+    hg_frame_input *list = hg_step_alloc(ctx, MAX_INPUTS * sizeof *list);
+    hg_energy_inputs *asks = hg_step_alloc(ctx, (size_t)n * sizeof *asks);
+    assert_true(list && asks);
+    frame->inputs = list;
+    for (int t = 0; t < n; t++) {
+        ok(hg_energy_asks(terms[t].energy, terms[t].options, false, &asks[t]), terms[t].energy->name);
+        for (int i = 0; i < asks[t].n; i++) {
+            const hg_energy_input *input = &asks[t].input[i];
+            const bool q = strcmp(input->name, "q") == 0, vectors = strcmp(input->shape, "[B,S,V,3]") == 0;
+            static const char *const members[] = { "x", "posed", "predicted", "previous" };
+            bool known = input->shape[1] != 'B' || (!q && !vectors && strcmp(input->shape, "[B,S,V]") != 0);
+            for (int k = 0; k < 4; k++) known |= strcmp(input->name, members[k]) == 0;
+            for (int k = 0; k < frame->n_inputs; k++) known |= strcmp(input->name, list[k].name) == 0;
+            if (known) continue;
+            assert_true(frame->n_inputs < MAX_INPUTS);
+            const double *values = q ? s->q : strcmp(input->name, "deformation") == 0 ? s->deformation : s->ghost;
+            list[frame->n_inputs++] =
+                (hg_frame_input){ input->name, upload(ctx, dtype, vectors || q ? 4 : 3, q ? edges : vertices, values) };
+        }
+    }
+}
+
 typedef struct {
     double *energy, *gradient, *per_strand; /* [n], [B,S,V,3], [B,S,n] */
 } result;
@@ -85,8 +112,7 @@ static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const
         ok(status, label);
     if (status == HG_OK) {
         hg_frame frame = scene_frame(s, ctx, dtype);
-        hg_frame_input inputs[3];
-        scene_bring(s, ctx, dtype, terms, n, &frame, inputs);
+        scene_bring(s, ctx, dtype, terms, n, &frame);
         if (give_posed) frame.posed = upload(ctx, dtype, 4, (int64_t[]){ s->B, s->S, s->V, 3 }, s->posed);
         hg_tensor *x = scene_x(s, ctx, dtype), *gradient = scene_x(s, ctx, dtype);
         ok(hg_physics_evaluate(physics, ctx, &frame, x, r.energy, r.per_strand, gradient), label);

@@ -44,7 +44,9 @@ check "backends are known to tensor only"
 
 # Every energy is compared with an independent reference.
 # shellcheck disable=SC2086
-for name in $(sed -n 's/^HG_ENERGY(\([a-z_0-9]*\).*/\1/p' hairloss/*.c); do
+names=$(awk '/^HG_ENERGY\(/ { line = $0; if (line ~ /\($/) { getline more; line = line more }
+    sub(/^HG_ENERGY\( */, "", line); sub(/[^a-z_0-9].*/, "", line); print line }' hairloss/*.c)
+for name in $names; do
     grep -rqw "$name" tests/reference 2>/dev/null || echo "hairloss: $name is not in tests/reference"
     [ -f "hairloss/$name.c" ] || echo "hairloss: $name is not in a file of its name"
 done >"$work/log"

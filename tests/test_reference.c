@@ -2,7 +2,6 @@
  * (tests/reference/energies.py). An energy that registers itself or stands in hairloss/ without a reference fails. */
 #include "hairloss/hairloss.h"
 
-#include "tests/asks.h"
 #include "tests/test.h"
 
 enum { MOST = 32 };
@@ -12,7 +11,7 @@ typedef struct {
     hg_h5 *file;
     int64_t G, B, S, V, N;
     double *rest, *mass, *body_distance, *scalp_distance, *root_rotation, *root_position, *x, *x_degenerate, *predicted,
-        *previous, *body_rest, *body_vertices, *q, *ghost, *deformation;
+        *previous, *ghost, *deformation, *q, *body_rest, *body_vertices;
     int32_t *groom, *faces;
     hg_body_tree *tree;
     hg_groom_attribute attributes[2];
@@ -54,6 +53,9 @@ static void open_reference(reference *r)
     read_numbers(r, "scene/x_degenerate", 4, vertices, NULL, &r->x_degenerate);
     read_numbers(r, "scene/predicted", 4, vertices, NULL, &r->predicted);
     read_numbers(r, "scene/previous", 4, vertices, NULL, &r->previous);
+    read_numbers(r, "scene/ghost", 4, vertices, NULL, &r->ghost);
+    read_numbers(r, "scene/deformation", 4, vertices, NULL, &r->deformation);
+    read_numbers(r, "scene/q", 4, (int64_t[]){ r->B, r->S, r->V - 1, 4 }, NULL, &r->q);
     read_numbers(r, "scene/mass", 3, groom, NULL, &r->mass);
     read_numbers(r, "scene/body_distance", 3, groom, NULL, &r->body_distance);
     read_numbers(r, "scene/scalp_distance", 3, groom, NULL, &r->scalp_distance);
@@ -62,10 +64,6 @@ static void open_reference(reference *r)
     read_numbers(r, "scene/root_position", 3, roots, NULL, &r->root_position);
     read_numbers(r, "scene/body_rest", 2, pairs, found, &r->body_rest);
     r->N = found[0];
-    int64_t edges[4] = { r->B, r->S, r->V - 1, 4 };
-    read_numbers(r, "scene/q", 4, edges, NULL, &r->q);
-    read_numbers(r, "scene/ghost", 4, vertices, NULL, &r->ghost);
-    read_numbers(r, "scene/deformation", 4, vertices, NULL, &r->deformation);
     int64_t body[3] = { r->B, r->N, 3 };
     read_numbers(r, "scene/body_vertices", 3, body, NULL, &r->body_vertices);
     ok(hg_h5_read(r->file, "scene/faces", HG_I32, 2, pairs, found, (void **)&r->faces), "faces");
@@ -87,9 +85,23 @@ static void close_reference(reference *r)
 {
     hg_h5_close(r->file);
     hg_body_tree_destroy(r->tree);
-    void *all[] = { r->rest, r->mass,         r->body_distance, r->scalp_distance, r->root_rotation, r->root_position,
-                    r->x,    r->x_degenerate, r->predicted,     r->previous,       r->body_rest,     r->body_vertices,
-                    r->q,    r->ghost,        r->deformation,   r->groom,          r->faces };
+    void *all[] = { r->rest,
+                    r->mass,
+                    r->body_distance,
+                    r->scalp_distance,
+                    r->root_rotation,
+                    r->root_position,
+                    r->x,
+                    r->x_degenerate,
+                    r->predicted,
+                    r->previous,
+                    r->body_rest,
+                    r->body_vertices,
+                    r->groom,
+                    r->faces,
+                    r->ghost,
+                    r->deformation,
+                    r->q };
     for (size_t i = 0; i < sizeof all / sizeof *all; i++) hg_free(all[i]);
 }
 
@@ -142,6 +154,44 @@ typedef struct {
     double *unweighted, *per_strand, *gradient; /* [n], [B,S,n], [B,S,V,3] */
 } outcome;
 
+enum { MOST_INPUTS = 24 };
+
+/* The arrays that the energies ask for by name, or everything that they ask for: as tensors of the frame. */
+static void bring(const reference *r, hg_ctx *ctx, hg_dtype dtype, int n, const hg_term *terms, bool everything,
+                  hg_frame *frame, hg_frame_input *list)
+{
+    const double dt = 1.0 / 30.0;
+    const struct {
+        const char *name;
+        int rank;
+        int64_t shape[4];
+        const double *values;
+        bool array;
+    } all[] = { { "ghost", 4, { r->B, r->S, r->V, 3 }, r->ghost, true },
+                { "deformation", 4, { r->B, r->S, r->V, 3 }, r->deformation, true },
+                { "q", 4, { r->B, r->S, r->V - 1, 4 }, r->q, true },
+                { "rest", 4, { r->G, r->S, r->V, 3 }, r->rest, false },
+                { "mass", 3, { r->G, r->S, r->V }, r->mass, false },
+                { "body_distance", 3, { r->G, r->S, r->V }, r->body_distance, false },
+                { "scalp_distance", 3, { r->G, r->S, r->V }, r->scalp_distance, false },
+                { "dt", 0, { 0 }, &dt, false } };
+    frame->inputs = list;
+    for (int t = 0; t < n; t++) {
+        hg_energy_inputs asks;
+        ok(hg_energy_asks(terms[t].energy, terms[t].options, false, &asks), terms[t].energy->name);
+        for (int i = 0; i < asks.n; i++)
+            for (size_t k = 0; k < sizeof all / sizeof *all; k++) {
+                if (strcmp(all[k].name, asks.input[i].name) != 0 || !(all[k].array || everything)) continue;
+                bool there = false;
+                for (int j = 0; j < frame->n_inputs; j++) there |= strcmp(list[j].name, all[k].name) == 0;
+                if (there) continue;
+                assert_true(frame->n_inputs < MOST_INPUTS);
+                list[frame->n_inputs++] =
+                    (hg_frame_input){ all[k].name, tensor(ctx, dtype, all[k].rank, all[k].shape, all[k].values) };
+            }
+    }
+}
+
 static outcome evaluate(const reference *r, hg_dtype dtype, int threads, hg_backend backend, int n,
                         const hg_term *terms, const double *positions, const char *label)
 {
@@ -158,10 +208,8 @@ static outcome evaluate(const reference *r, hg_dtype dtype, int threads, hg_back
     frame.predicted = tensor(ctx, dtype, 4, vertices, r->predicted);
     frame.previous = tensor(ctx, dtype, 4, vertices, r->previous);
     frame.body_vertices = tensor(ctx, dtype, 3, body, r->body_vertices);
-    const test_array arrays[] = { { "q", 4, r->q }, { "ghost", 3, r->ghost }, { "deformation", 3, r->deformation } };
-    hg_frame_input inputs[3];
-    frame.n_inputs = bring_arrays(ctx, dtype, terms, n, (int64_t[]){ r->B, r->S, r->V }, 3, arrays, inputs);
-    frame.inputs = inputs;
+    hg_frame_input list[MOST_INPUTS];
+    bring(r, ctx, dtype, n, terms, false, &frame, list);
     hg_tensor *x = tensor(ctx, dtype, 4, vertices, positions), *gradient = hg_tensor_make(ctx, dtype, 4, vertices);
     int64_t count = hg_tensor_count(x);
     outcome out = { calloc((size_t)n, 8), calloc((size_t)(r->B * r->S * n), 8), calloc((size_t)count, 8) };
@@ -249,6 +297,118 @@ static void check_case(const reference *r, variant *v, const char *label, const 
     case_free(&want);
 }
 
+/* ---- gradients in everything else ---- */
+
+static int count_datasets(const reference *r, const char *group)
+{
+    int n = 0;
+    char **names;
+    if (!hg_h5_has(r->file, group)) return 0;
+    ok(hg_h5_names(r->file, group, &n, &names), group);
+    hg_texts_free(names, n);
+    return n;
+}
+
+/* The posed groom: root + R (rest - rest root), R of a quaternion. */
+static void make_posed(const reference *r, double *to)
+{
+    for (int64_t i = 0; i < r->B * r->S * r->V; i++) {
+        const int64_t strand = i / r->V, groom = r->groom[strand / r->S];
+        const double *root = r->rest + (groom * r->S + strand % r->S) * r->V * 3, *at = root + i % r->V * 3;
+        const double *q = r->root_rotation + 4 * strand, *p = r->root_position + 3 * strand;
+        const double d[3] = { at[0] - root[0], at[1] - root[1], at[2] - root[2] };
+        for (int k = 0; k < 3; k++) {
+            const int l = (k + 1) % 3, m = (k + 2) % 3;
+            to[3 * i + k] = p[k] + d[k] * (1 - 2 * (q[1 + l] * q[1 + l] + q[1 + m] * q[1 + m])) +
+                            d[l] * 2 * (q[1 + k] * q[1 + l] - q[0] * q[1 + m]) +
+                            d[m] * 2 * (q[1 + k] * q[1 + m] + q[0] * q[1 + l]);
+        }
+    }
+}
+
+static int compare_wrt(const reference *r, const char *label, const char *name, const hg_tensor *leaf)
+{
+    char path[400];
+    snprintf(path, sizeof path, "%s/wrt/%s", label, name);
+    const hg_tensor *gradient = hg_grad(leaf);
+    assert_non_null(gradient);
+    const int64_t n = hg_tensor_count(leaf);
+    double *want = NULL;
+    if (!hg_h5_has(r->file, path)) { /* what has no effect; a sum may leave a little rounding */
+        for (int64_t i = 0; i < n; i++)
+            if (fabs(hg_tensor_item(gradient, i)) > 1e-12)
+                fail_msg("%s: the gradient in %s at %lld is %g, and the reference has none", label, name, (long long)i,
+                         hg_tensor_item(gradient, i));
+        return 0;
+    }
+    ok(hg_h5_read(r->file, path, HG_F64, leaf->rank, leaf->shape, NULL, (void **)&want), path);
+    compare(label, name, n, gradient->data, want, TOLERANCE);
+    hg_free(want);
+    return 1;
+}
+
+/* All at once on the tape; the posed groom in a call of its own, since it is then not made of the others. */
+static void check_others(const reference *r, const variant *v)
+{
+    int64_t vertices[4] = { r->B, r->S, r->V, 3 }, body[3] = { r->B, r->N, 3 };
+    int64_t rotation[3] = { r->B, r->S, 4 }, position[3] = { r->B, r->S, 3 };
+    const hg_energy *energy = v->term.energy;
+    char posed_path[400];
+    snprintf(posed_path, sizeof posed_path, "%s/wrt/posed", v->label);
+    int found = 0;
+    for (int posed = 0; posed < 1 + hg_h5_has(r->file, posed_path); posed++) {
+        hg_ctx *ctx;
+        hg_physics *physics;
+        hg_energy_inputs asks;
+        hg_frame_input list[MOST_INPUTS];
+        static char names[HG_ENERGY_PARAMS][96];
+        ok(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), v->label);
+        ok(hg_physics_create(&physics, ctx, HG_F64, &v->term, 1, &r->data), v->label);
+        ok(hg_energy_asks(energy, v->options, posed, &asks), v->label);
+        hg_frame frame = { .groom = r->groom, .dt = 1.0 / 30.0 };
+        frame.root_rotation = tensor(ctx, HG_F64, 3, rotation, r->root_rotation);
+        frame.root_position = tensor(ctx, HG_F64, 3, position, r->root_position);
+        frame.predicted = tensor(ctx, HG_F64, 4, vertices, r->predicted);
+        frame.previous = tensor(ctx, HG_F64, 4, vertices, r->previous);
+        frame.body_vertices = tensor(ctx, HG_F64, 3, body, r->body_vertices);
+        bring(r, ctx, HG_F64, 1, &v->term, !posed, &frame, list);
+        hg_tensor *x = tensor(ctx, HG_F64, 4, vertices, r->x);
+        if (posed) {
+            double *y = calloc((size_t)hg_tensor_count(x), sizeof *y);
+            assert_non_null(y);
+            make_posed(r, y);
+            frame.posed = tensor(ctx, HG_F64, 4, vertices, y);
+            free(y);
+            ok(hg_require_grad(frame.posed), v->label);
+        }
+        for (int p = 0; !posed && p < HG_ENERGY_PARAMS && energy->params[p].name; p++) {
+            if (!((asks.params | asks.kernel_params) >> p & 1)) continue;
+            snprintf(names[p], sizeof names[p], "%s.%s", energy->name, energy->params[p].name);
+            list[frame.n_inputs++] = (hg_frame_input){ names[p], tensor(ctx, HG_F64, 0, NULL, &v->params[p]) };
+        }
+        ok(hg_require_grad(x), v->label);
+        hg_tensor *const members[] = { frame.root_rotation, frame.root_position, frame.predicted, frame.previous };
+        static const char *const member_names[] = { "root_rotation", "root_position", "predicted", "previous" };
+        for (int i = 0; !posed && i < frame.n_inputs; i++) ok(hg_require_grad(list[i].value), list[i].name);
+        for (int i = 0; !posed && i < 4; i++) ok(hg_require_grad(members[i]), member_names[i]);
+        hg_tensor *energy_tensor = hg_physics_energy(physics, ctx, &frame, x, NULL);
+        if (!energy_tensor) fail_msg("%s: %s", v->label, hg_message());
+        ok(hg_backward(ctx, energy_tensor), v->label);
+        for (int i = 0; !posed && i < frame.n_inputs; i++) {
+            const char *dot = strchr(list[i].name, '.');
+            found += compare_wrt(r, v->label, dot ? dot + 1 : list[i].name, list[i].value);
+        }
+        for (int i = 0; !posed && i < 4; i++) found += compare_wrt(r, v->label, member_names[i], members[i]);
+        if (posed) found += compare_wrt(r, v->label, "posed", frame.posed);
+        hg_physics_destroy(physics);
+        hg_ctx_destroy(ctx);
+    }
+    char group[400];
+    snprintf(group, sizeof group, "%s/wrt", v->label);
+    const int expected = count_datasets(r, group);
+    if (found != expected) fail_msg("%s: %d of %d gradients were compared", v->label, found, expected);
+}
+
 static void test_energies(void **state)
 {
     (void)state;
@@ -263,6 +423,7 @@ static void test_energies(void **state)
         variant v;
         for (int number = 0; make_variant(energy, number, &v); number++) {
             check_case(&r, &v, v.label, r.x);
+            check_others(&r, &v);
             char label[300];
             snprintf(label, sizeof label, "%s@degenerate", v.label);
             if (hg_h5_has(r.file, label)) check_case(&r, &v, label, r.x_degenerate);
@@ -430,7 +591,7 @@ static void test_every_file(void **state)
         if (at) {
             char name[64];
             at += strlen("\nHG_ENERGY(");
-            at += strspn(at, " \n"); /* a long declaration begins on the next line */
+            at += strspn(at, " \n");
             snprintf(name, sizeof name, "%.*s", (int)strcspn(at, ", )"), at);
             variant v;
             const hg_energy *energy = hg_energy_find(name);

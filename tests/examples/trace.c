@@ -15,7 +15,7 @@ int main(void)
     hg_ctx *ctx;
     if (hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 1 }) != HG_OK) return 1;
     const hg_energy *energy = hg_energy_find("stretch_of_the_example");
-    hg_status status = energy == NULL ? HG_INVALID : hg_energy_gradcheck(ctx, energy, NULL, NULL, NULL);
+    hg_status status = energy == NULL ? HG_INVALID : hg_energy_gradcheck(ctx, energy, NULL, NULL, NULL, NULL, NULL);
     if (status != HG_OK) fprintf(stderr, "%s\n", hg_message());
     hg_ctx_destroy(ctx);
     return status != HG_OK;
