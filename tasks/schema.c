@@ -209,7 +209,8 @@ hg_status hg_hair_config_load(hg_config **config, const char *path)
     return status;
 }
 
-/* An echo writes every section, so whether an energy is on has to stand in its weight. */
+/* An echo writes the section of every energy that is on with its weight. One that is off stays out: a run does not depend on
+ * energies, of a plug-in or of a later version, that it does not use. */
 static hg_status copy_weights(hg_config *copy, const hg_config *config)
 {
     const hg_energy *energies[ENERGIES];
@@ -220,6 +221,7 @@ static hg_status copy_weights(hg_config *copy, const hg_config *config)
         snprintf(key, sizeof key, "%s.weight", section);
         double weight = hg_config_number(config, key);
         if (!hg_config_given(config, key)) weight = hg_config_given(config, section) ? 1 : 0;
+        if (!hg_config_given(config, section) && weight == 0) continue;
         snprintf(value, sizeof value, "%.17g", weight);
         HG_TRY(hg_config_set(copy, key, value));
     }

@@ -77,6 +77,9 @@ works "train" "trained 2 steps" "$hairgrad" train own.yaml -o run --plugin tip_r
 works "evaluate" "tip_rise" "$hairgrad" evaluate run --plugin tip_rise.so --frames 3
 refused "evaluate without it names what is missing" 'losses.tip_rise".*plug-in' "$hairgrad" evaluate run
 refused "train without it" 'losses.tip_rise".*plug-in' "$hairgrad" train own.yaml -o run2
+sed 's/, tip_rise: { stiffness: 0.2 N.m }//' "$work/own.yaml" >"$work/without.yaml"
+works "train without using it" "trained 2 steps" "$hairgrad" train without.yaml -o run3 --plugin tip_rise.so
+works "the run does not need it" "stretch" "$hairgrad" evaluate run3
 
 # ---- wrong ones --------------------------------------------------------------------------------------------------
 
