@@ -574,8 +574,8 @@ hg_tensor *(hg_physics_energy)(hg_physics *physics, hg_ctx *ctx, const hg_frame 
                                double *unweighted)
 {
     const physics_call attributes = { .physics = physics, .frame = *frame, .unweighted = unweighted };
-    hg_tensor *const members[] = { frame->root_rotation, frame->root_position, frame->posed, frame->predicted,
-                                   frame->previous };
+    hg_tensor *const members[] = { frame->root_rotation, frame->root_position, frame->posed,
+                                   frame->predicted,     frame->previous,      frame->body_vertices /* refused */ };
     const int n_members = (int)(sizeof members / sizeof *members);
     hg_tensor *in[HG_OP_INPUTS] = { x };
     int n = 1;

@@ -11,7 +11,7 @@
 #include <stdarg.h>
 #include <cmocka.h>
 
-enum { MAX_INPUTS = 16, MAX_ENERGIES = 64, WITH_STYLE = 6 /* of the usual sums: has all window energies */ };
+enum { MAX_INPUTS = 16, MAX_ENERGIES = 64, WITH_STYLE = 7 /* of the usual sums: has all window energies */ };
 
 typedef struct {
     hg_term term;

@@ -2,6 +2,8 @@
  * given but not differentiated, values carried from site to site, and what is refused. */
 #include "energies_walk.h"
 
+#include "autograd/trace/strand.h"
+
 #include "autograd/trace/names.h"
 
 /* Every input of a window, differentiable in all of them: three vertices, two edges. */
@@ -52,6 +54,65 @@ static scalar input_chain(void)
 
 HG_ENERGY(input_chain, .equation = "k (...)", .source = "test", .site = window(3),
           .params = { { "stiffness", 3, "1", "scale" }, { "bend", 0.7, "1", "scale" } });
+
+/* What a carried value means: the vertex number, the arc length from the root now and at rest. */
+static scalar input_count(void)
+{
+    scalar number = carry("number", hg_trace_number(0)), length = carry("length", hg_trace_number(0)),
+           rest_length_ = carry("rest_length", hg_trace_number(0));
+    keep("number", add(number, 1));
+    keep("length", add(length, norm(sub(x(1), x(0)))));
+    keep("rest_length", add(rest_length_, norm(sub(rest(1), rest(0)))));
+    return add(mul(param("number"), number), mul(param("length"), length), mul(param("rest_length"), rest_length_));
+}
+
+HG_ENERGY(input_count, .equation = "k (...)", .source = "test", .site = window(2),
+          .params = { { "number", 0, "1", "" }, { "length", 0, "1", "" }, { "rest_length", 0, "1", "" } });
+
+/* What physics makes by itself. */
+static scalar input_mean(void)
+{
+    return mul(0.5, square(sub(frame_vec3("deformation_mean", 0), frame_vec3("deformation", 0))));
+}
+
+HG_ENERGY(input_mean, .equation = "1/2 |dbar - d|^2", .source = "test", .site = window(1));
+
+/* Carried the wrong way. */
+static scalar one(void) { return carry("one", hg_trace_number(1)); }
+
+static scalar not_kept(void) { return one(); }
+
+static scalar not_carried(void)
+{
+    keep("one", hg_trace_number(1));
+    return hg_trace_number(1);
+}
+
+static scalar kept_twice(void)
+{
+    scalar value = one();
+    keep("one", value);
+    keep("one", value);
+    return value;
+}
+
+static scalar carried_twice(void)
+{
+    scalar value = add(one(), one());
+    keep("one", value);
+    return value;
+}
+
+static scalar kept_as_vector(void)
+{
+    scalar value = one();
+    keep("one", x(0));
+    return value;
+}
+
+static scalar no_such_edge(void) { return norm(q(1)); }
+
+static scalar two_widths(void) { return add(frame_scalar("wind", 0), norm(frame_vec3("wind", 0))); }
 
 #undef sqrt
 #undef abs
@@ -269,13 +330,310 @@ static void test_compiled(void **state)
             }
 }
 
+/* ---- what carried values and made arrays mean -------------------------------------------------------------------- */
+
+static double own_energy(hg_ctx *ctx, const scene *s, const char *name, const double *params, const hg_frame *frame,
+                         double *gradient)
+{
+    const hg_term term = { hg_energy_find(name), 1, params, NULL };
+    hg_physics *physics;
+    double energy;
+    ok(hg_physics_create(&physics, ctx, HG_F64, &term, 1, &s->data), name);
+    hg_tensor *x = scene_x(s, ctx, HG_F64), *out = scene_x(s, ctx, HG_F64);
+    ok(hg_physics_evaluate(physics, ctx, frame, x, &energy, NULL, out), name);
+    for (int64_t i = 0; gradient && i < hg_tensor_count(out); i++) gradient[i] = value(out, i);
+    hg_physics_destroy(physics);
+    return energy;
+}
+
+static double edge_length(const double *points, int64_t edge)
+{
+    const double *a = points + 3 * edge;
+    return sqrt((a[3] - a[0]) * (a[3] - a[0]) + (a[4] - a[1]) * (a[4] - a[1]) + (a[5] - a[2]) * (a[5] - a[2]));
+}
+
+static void test_meaning(void **state)
+{
+    (void)state;
+    for (int64_t V = 1; V <= 12; V++) {
+        hg_ctx *ctx = make_context(1);
+        scene s;
+        scene_make(&s, 2, 3, 5, V, 0.2);
+        const hg_frame frame = { .groom = s.groom };
+        double number = 0, length = 0, rest_length = 0, *gradient = numbers(s.B * s.S * V * 3);
+        for (int64_t i = 0; i < s.B * s.S; i++)
+            for (int64_t e = 0; e + 1 < V; e++) { /* an edge counts once in every site after it */
+                number += (double)e;
+                length += (double)(V - 2 - e) * edge_length(s.x + i * V * 3, e);
+                rest_length +=
+                    (double)(V - 2 - e) * edge_length(s.rest + (s.groom[i / s.S] * s.S + i % s.S) * V * 3, e);
+            }
+        assert_true(fabs(own_energy(ctx, &s, "input_count", (double[3]){ 1, 0, 0 }, &frame, gradient) - number) < 1e-9);
+        for (int64_t i = 0; i < s.B * s.S * V * 3; i++) assert_true(gradient[i] == 0);
+        const double now = own_energy(ctx, &s, "input_count", (double[3]){ 0, 1, 0 }, &frame, gradient);
+        assert_true(fabs(now - length) <= 1e-12 * length);
+        const double then = own_energy(ctx, &s, "input_count", (double[3]){ 0, 0, 1 }, &frame, NULL);
+        assert_true(fabs(then - rest_length) <= 1e-12 * rest_length);
+        for (int64_t i = 0; V > 2 && i < s.B * s.S; i++) { /* pulling the root shortens the first edge, V - 2 times */
+            const double *x = s.x + i * V * 3, *g = gradient + i * V * 3;
+            for (int c = 0; c < 3; c++)
+                assert_true(fabs(g[c] - (double)(V - 2) * (x[c] - x[3 + c]) / edge_length(x, 0)) < 1e-12 * (double)V);
+        }
+        hg_free(gradient);
+        scene_free(&s);
+        hg_ctx_destroy(ctx);
+    }
+}
+
+static void test_mean(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(2);
+    scene s;
+    scene_make(&s, 1, 6, 3, 4, 0.2);
+    const int64_t row = s.S * s.V * 3, shape[4] = { s.B, s.S, s.V, 3 };
+    for (int64_t consecutive = 0; consecutive <= 6; consecutive++) {
+        hg_tensor *d = upload(ctx, HG_F64, 4, shape, s.deformation);
+        const hg_frame_input input = { "deformation", d };
+        const hg_frame frame = { .consecutive = consecutive, .inputs = &input, .n_inputs = 1 };
+        const int64_t group = consecutive ? consecutive : s.B;
+        const hg_term term = { hg_energy_find("input_mean"), 2, NULL, NULL };
+        hg_physics *physics;
+        ok(hg_physics_create(&physics, ctx, HG_F64, &term, 1, &s.data), "mean");
+        hg_tensor *x = scene_x(&s, ctx, HG_F64);
+        hg_require_grad(d);
+        hg_tensor *energy = hg_physics_energy(physics, ctx, &frame, x, NULL);
+        if (s.B % group) {
+            assert_null(energy);
+            assert_non_null(strstr(hg_message(), "consecutive"));
+        } else {
+            ok(hg_backward(ctx, energy), "mean");
+            double expected = 0;
+            for (int64_t k = 0; k < s.B * row; k++) {
+                double mean = 0;
+                for (int64_t f = 0; f < group; f++)
+                    mean += s.deformation[(k / row / group * group + f) * row + k % row] / (double)group;
+                const double off = s.deformation[k] - mean;
+                expected += off * off; /* weight 2 of a half */
+                assert_true(fabs(value(hg_grad(d), k) - 2 * off) < 1e-15);
+            }
+            assert_true(fabs(value(energy, 0) - expected) <= 1e-12 * expected);
+        }
+        hg_physics_destroy(physics);
+        hg_step_reset(ctx);
+        hg_ctx_destroy(ctx);
+        ctx = make_context(2);
+    }
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- free orientations ------------------------------------------------------------------------------------------- */
+
+static double cosserat(hg_ctx *ctx, const scene *s, const char *name, const double *orientations)
+{
+    const int64_t shape[4] = { s->B, s->S, s->V - 1, 4 };
+    const hg_frame_input input = { "q", upload(ctx, HG_F64, 4, shape, orientations) };
+    const hg_frame frame = { .groom = s->groom, .inputs = &input, .n_inputs = 1 };
+    const double energy = own_energy(ctx, s, name, (double[]){ 1 }, &frame, NULL);
+    assert_true(isfinite(energy));
+    return energy;
+}
+
+/* Zero where x is the turned rest groom and q its turned frames; q and -q are the same; a zero q is finite. */
+static void test_orientations(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(1);
+    scene s;
+    scene_make(&s, 2, 2, 4, 9, 0);
+    const double e3[3] = { 0, 0, 1 };
+    const int64_t E = s.V - 1, n = s.B * s.S * E;
+    double *orientation = numbers(4 * n);
+    memcpy(s.x, s.posed, (size_t)(s.B * s.S * s.V * 3) * sizeof(double));
+    for (int64_t i = 0; i < s.B * s.S; i++) {
+        const double *rest = s.rest + (s.groom[i / s.S] * s.S + i % s.S) * s.V * 3;
+        double frame[4], tangent[2][3];
+        for (int64_t e = 0; e < E; e++) {
+            for (int c = 0; c < 3; c++)
+                tangent[e & 1][c] = (rest[3 * e + 3 + c] - rest[3 * e + c]) / edge_length(rest, e);
+            double turn[4];
+            shortest(e ? tangent[(e - 1) & 1] : e3, tangent[e & 1], turn);
+            if (e)
+                multiply(turn, frame, frame);
+            else
+                memcpy(frame, turn, sizeof frame);
+            multiply(s.rotation + 4 * i, frame, orientation + 4 * (i * E + e));
+        }
+    }
+    const char *const names[] = { "cosserat_stretch_shear", "cosserat_bend_twist", "unit_quaternion" };
+    for (int k = 0; k < 3; k++) assert_true(fabs(cosserat(ctx, &s, names[k], orientation)) < 1e-20);
+    double before[3];
+    for (int64_t i = 0; i < 4 * n; i++) orientation[i] += 0.1 * noise(40, i);
+    for (int k = 0; k < 3; k++) assert_true((before[k] = cosserat(ctx, &s, names[k], orientation)) > 1e-6);
+    for (int64_t i = 0; i < 4 * n; i++)
+        if (i / 4 % 3 == 0) orientation[i] = -orientation[i];
+    for (int k = 0; k < 3; k++)
+        assert_true(fabs(cosserat(ctx, &s, names[k], orientation) - before[k]) < 1e-12 * before[k]);
+    memset(orientation, 0, (size_t)(4 * n) * sizeof(double));
+    for (int k = 0; k < 3; k++) cosserat(ctx, &s, names[k], orientation);
+    hg_free(orientation);
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
+/* ---- what a call may bring --------------------------------------------------------------------------------------- */
+
+/* A value that is given says the same as the term or the groom when it is the same. */
+static void test_given(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(1);
+    scene s;
+    scene_make(&s, 2, 2, 5, 6, 0.2);
+    hg_term terms[8];
+    const int n = usual_terms(WITH_STYLE, terms);
+    hg_physics *physics;
+    ok(hg_physics_create(&physics, ctx, HG_F64, terms, n, &s.data), "given");
+    hg_frame frame = scene_frame(&s, ctx, HG_F64);
+    double expected[8], found[8], stiffness[5], twice[1];
+    hg_tensor *x = scene_x(&s, ctx, HG_F64), *a = scene_x(&s, ctx, HG_F64), *b = scene_x(&s, ctx, HG_F64);
+    ok(hg_physics_evaluate(physics, ctx, &frame, x, expected, NULL, a), "given");
+    const hg_energy *stretch = hg_energy_find("stretch");
+    for (int i = 0; i < 5; i++) stiffness[i] = stretch->params[0].value;
+    twice[0] = 2 * stretch->params[0].value;
+    const int64_t groom[4] = { s.G, s.S, s.V, 3 };
+    const double dt = frame.dt;
+    hg_frame_input inputs[] = { { "stretch.stiffness", upload(ctx, HG_F64, 1, (int64_t[]){ 5 }, stiffness) },
+                                { "rest", upload(ctx, HG_F64, 4, groom, s.rest) },
+                                { "mass", upload(ctx, HG_F64, 3, groom, s.mass) },
+                                { "scalp_distance", upload(ctx, HG_F64, 3, groom, s.scalp_distance) },
+                                { "dt", upload(ctx, HG_F64, 0, NULL, &dt) } };
+    frame.inputs = inputs;
+    for (frame.n_inputs = 1; frame.n_inputs <= 5; frame.n_inputs++) {
+        ok(hg_physics_evaluate(physics, ctx, &frame, x, found, NULL, b), "given");
+        assert_true(difference(expected, found, n) < 1e-12);
+        assert_true(difference(a->data, b->data, hg_tensor_count(a)) < 1e-12);
+    }
+    inputs[0].value = upload(ctx, HG_F64, 0, NULL, twice);
+    frame.n_inputs = 1;
+    ok(hg_physics_evaluate(physics, ctx, &frame, x, found, NULL, NULL), "given");
+    for (int t = 0; t < n; t++)
+        assert_true(fabs(found[t] - (terms[t].energy == stretch ? 2 : 1) * expected[t]) <= 1e-12 * fabs(expected[t]));
+    hg_physics_destroy(physics);
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
+/* Once it is known what calls bring, nothing is traced and nothing is allocated. */
+static void test_steady(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(2);
+    scene s;
+    scene_make(&s, 1, 2, 50, 8, 0.2);
+    bench b;
+    make_bench(&b, ctx, &s, HG_F32, "input_chain", PER_STRAND);
+    for (int i = 0; i < b.n; i++) hg_require_grad(b.tensor[i]);
+    int64_t allocations = 0;
+    for (int step = 0; step < 6; step++) {
+        ok(hg_backward(ctx, bench_energy(&b, ctx, b.tensor)), "steady");
+        b.frame.n_inputs -= 1; /* another combination in between */
+        ok(hg_backward(ctx, bench_energy(&b, ctx, b.tensor)), "steady");
+        b.frame.n_inputs += 1;
+        hg_step_reset(ctx);
+        if (step == 3) allocations = hg_alloc_count();
+    }
+    assert_int_equal(hg_alloc_count(), allocations);
+    free_bench(&b);
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
+static void says(const char *a, const char *b)
+{
+    if (!strstr(hg_message(), a) || !strstr(hg_message(), b))
+        fail_msg("the message '%s' does not say '%s' and '%s'", hg_message(), a, b);
+}
+
+static void test_refusals(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(1);
+    scene s;
+    scene_make(&s, 1, 2, 3, 4, 0.2);
+    const hg_term terms[] = { { hg_energy_find("stretch"), 1, NULL, NULL },
+                              { hg_energy_find("body_collision"), 1, NULL, NULL },
+                              { hg_energy_find("unit_quaternion"), 1, NULL, NULL } };
+    hg_physics *physics;
+    ok(hg_physics_create(&physics, ctx, HG_F64, terms, 3, &s.data), "refusals");
+    hg_frame frame = scene_frame(&s, ctx, HG_F64);
+    hg_tensor *x = scene_x(&s, ctx, HG_F64);
+    double energies[3];
+    const double ones[4 * 24] = { 1 };
+    const int64_t q[4] = { 2, 3, 3, 4 }, strands[1] = { 3 };
+    hg_frame_input inputs[3] = { { "q", upload(ctx, HG_F64, 4, q, ones) } };
+#define REFUSED(name_, value_, a, b)                                                                                   \
+    inputs[1] = (hg_frame_input){ name_, value_ };                                                                     \
+    assert_int_not_equal(hg_physics_evaluate(physics, ctx, &frame, x, energies, NULL, NULL), HG_OK);                   \
+    says(a, b)
+    assert_int_equal(hg_physics_evaluate(physics, ctx, &frame, x, energies, NULL, NULL), HG_INVALID);
+    says("unit_quaternion", "\"q\" [B,S,V-1,4]");
+    frame.inputs = inputs;
+    frame.n_inputs = 2;
+    hg_tensor *number = upload(ctx, HG_F64, 1, strands, ones);
+    REFUSED("stretch.stifness", number, "stretch.stifness", "stretch.stiffness, body_collision.stiffness");
+    REFUSED("ghost", number, "'ghost'", "rest, q");
+    REFUSED("dt", number, "'dt'", "stretch.stiffness");
+    REFUSED("stretch.stiffness", x, "[2,3,4,3]", "[], [S] or [B,S]");
+    REFUSED("stretch.stiffness", upload(ctx, HG_F32, 1, strands, ones), "f32 [3]", "f64");
+    REFUSED("rest", x, "'rest'", "[G,S,V,3]");
+    REFUSED("q", inputs[0].value, "'q'", "twice");
+    REFUSED("rest", NULL, "input 1", "no value");
+    frame.n_inputs = 1;
+    hg_require_grad(frame.body_vertices);
+    assert_null(hg_physics_energy(physics, ctx, &frame, x, NULL));
+    says("body_vertices", "detach");
+    hg_physics_destroy(physics);
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
+static void formula_refused(hg_scalar (*formula)(void), uint32_t allowed, const char *a, const char *b)
+{
+    const hg_trace_scope broken = { .name = "broken", .allowed = allowed, .window = 2 };
+    hg_formula_names names;
+    assert_int_equal(hg_formula_reads(formula, &broken, &names), HG_INVALID);
+    says(a, b);
+    hg_formula_names_free(&names);
+    const hg_strand_term term = { broken, formula, NULL };
+    hg_strand_program *program;
+    assert_int_equal(hg_strand_program_create(&program, HG_F64, 1, &term, 0, NULL, true), HG_INVALID);
+    says(a, b);
+}
+
+static void test_formulas(void **state)
+{
+    (void)state;
+    formula_refused(not_kept, HG_ALLOW_WINDOW, "carries 'one'", "does not keep");
+    formula_refused(not_carried, HG_ALLOW_WINDOW, "keeps 'one'", "does not carry");
+    formula_refused(kept_twice, HG_ALLOW_WINDOW, "'one' twice", "kept once");
+    formula_refused(carried_twice, HG_ALLOW_WINDOW, "'one' twice", "carried once");
+    formula_refused(kept_as_vector, HG_ALLOW_WINDOW, "'one'", "something else");
+    formula_refused(no_such_edge, HG_ALLOW_WINDOW, "q(1)", "1 edges");
+    formula_refused(two_widths, HG_ALLOW_WINDOW, "'wind'", "vectors");
+    formula_refused(kept_twice, HG_ALLOW_PAIRS, "carried value", "does not have");
+    formula_refused(no_such_edge, HG_ALLOW_FIELD, "asks for q", "does not have");
+    formula_refused(two_widths, HG_ALLOW_FIELD_KERNEL, "named array", "does not have");
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients),
-        cmocka_unit_test(test_carried),
-        cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_compiled),
+        cmocka_unit_test(test_gradients),    cmocka_unit_test(test_carried),  cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_compiled),     cmocka_unit_test(test_meaning),  cmocka_unit_test(test_mean),
+        cmocka_unit_test(test_orientations), cmocka_unit_test(test_given),    cmocka_unit_test(test_steady),
+        cmocka_unit_test(test_refusals),     cmocka_unit_test(test_formulas),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
