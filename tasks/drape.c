@@ -11,7 +11,7 @@ typedef struct {
     int32_t *strand;
     int64_t n;
     hg_tensor *features, *rest, *part; /* [n,..]: the same in every frame */
-    float *body, *rotation, *position, *posed, *raw, *inputs;
+    float *body, *rotation, *position, *x, *posed, *raw, *inputs;
 } drape;
 
 static void drape_free(drape *d)
@@ -25,6 +25,7 @@ static void drape_free(drape *d)
     hg_free(d->body);
     hg_free(d->rotation);
     hg_free(d->position);
+    hg_free(d->x);
     hg_free(d->posed);
     hg_free(d->raw);
     hg_free(d->inputs);
@@ -59,13 +60,14 @@ static hg_status drape_prepare(drape *d, hg_hair_task *task, hg_ctx *ctx, const 
     d->body = hg_alloc((size_t)hg_poser_vertices(d->poser) * 3, sizeof(float));
     d->rotation = hg_alloc((size_t)d->n * 4, sizeof(float));
     d->position = hg_alloc((size_t)d->n * 3, sizeof(float));
+    d->x = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
     d->posed = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
     d->raw = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
     d->inputs = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
     d->features = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ d->n, task->strand_inputs });
     d->rest = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ d->n, V, 3 });
-    if (!d->strand || !d->body || !d->rotation || !d->position || !d->posed || !d->raw || !d->inputs || !d->features ||
-        !d->rest)
+    if (!d->strand || !d->body || !d->rotation || !d->position || !d->x || !d->posed || !d->raw || !d->inputs ||
+        !d->features || !d->rest)
         return HG_MEMORY;
     for (int64_t i = 0; i < d->n; i++) d->strand[i] = (int32_t)(i * stride);
     return make_part(d, task, ctx);
@@ -80,19 +82,13 @@ static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg
     HG_TRY(hg_pose_roots(ctx, d->poser, task->groom, d->strand, n, d->body, d->rotation, d->position));
     hg_hair_track_frame(&task->layout, &d->track, frame, shape, d->raw);
     hg_hair_normalise_frame(task, d->raw, d->inputs);
-    hg_no_grad_begin(ctx);
-    hg_tensor *x = hg_hair_predict(
-        task, ctx, d->part, hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, d->inputs),
-        d->rest, hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 4 }, d->rotation),
-        hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 1, n, 3 }, d->position));
-    hg_no_grad_end(ctx);
-    HG_TRY(hg_ctx_status(ctx));
+    HG_TRY(hg_hair_predict_frame(task, ctx, d->part, d->inputs, d->rest, d->rotation, d->position, d->x));
     hg_pose_strands(ctx, n, V, d->rest->data, d->rotation, d->position, d->posed);
     return sink(self, &(hg_drape_frame){ .frame = frame,
                                          .strands = n,
                                          .vertices = V,
                                          .strand = d->strand,
-                                         .x = x->data,
+                                         .x = d->x,
                                          .posed = d->posed,
                                          .body_vertices = d->body,
                                          .root_rotation = d->rotation,

@@ -213,7 +213,12 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     /* What belongs to the strands is the same at the three times. */
     const batch_tensors in = { model->strand_part(model->self, ctx, subset->features), inputs, rotation, position };
     hg_no_grad_begin(ctx);
-    hg_tensor *past = predict_rows(task, ctx, batch, subset, &in, 0, 2 * B);
+    hg_tensor *past = hg_tensor_make(ctx, HG_F32, 4, (int64_t[]){ 2 * B, S, task->groom->vertices, 3 });
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    const int recorded = hg_tape_count(ctx);
+    const hg_tensor *made = predict_rows(task, ctx, batch, subset, &in, 0, 2 * B);
+    if (!made || !past || hg_tensor_copy(past, made) != HG_OK) past = NULL;
+    if (hg_tape_count(ctx) == recorded) hg_step_rewind(ctx, mark); /* nothing else of it is needed again */
     hg_tensor *previous = past ? hg_tensor_rows(ctx, past, B, B) : NULL;
     hg_tensor *before = past ? hg_tensor_rows(ctx, past, 0, B) : NULL;
     hg_tensor *predicted = hg_sub(ctx, hg_scale(ctx, previous, 2, 0), before);
