@@ -89,7 +89,7 @@ static hg_status fit(const scene *of, const float *drape, hg_tensor *log_k)
         double norm;
         if (status == HG_OK) status = hg_backward(of->ctx, hg_scale(of->ctx, gap, 1e9, 0)); /* nJ */
         if (status == HG_OK)
-            status = hg_adam_step(adam, 0.3 * pow(0.03, (double)i / outer), 0.5, 0.8, 1e-8, 0, 0, &norm);
+            status = hg_adam_step(adam, 0.3 * pow(0.03, (double)i * i / outer / outer), 0.5, 0.8, 1e-8, 0, 0, &norm);
     }
     hg_adam_destroy(adam);
     return status;

@@ -19,6 +19,7 @@ typedef struct {
     hg_tensor *x;
     int64_t b, s, v; /* what is not finite: frame, strand, vertex */
     bool in_force;   /* the force on that vertex; else the value, and the vertex has the largest force */
+    bool heals;      /* without that vertex the value is finite */
     double arrived;  /* the gradient that came to the energy: forces are multiplied by it */
     bool whole;      /* all strands of the frame, and all frames: they belong together */
 } suspect;
@@ -42,6 +43,43 @@ static bool overflows(const suspect *of, double force)
 {
     const double arrives = force * of->term->weight * of->arrived;
     return of->dtype == HG_F32 ? !isfinite((float)arrives) : !isfinite(arrives);
+}
+
+static void set_item(hg_tensor *tensor, int64_t i, double value)
+{
+    if (tensor->dtype == HG_F32)
+        ((float *)tensor->data)[i] = (float)value;
+    else
+        ((double *)tensor->data)[i] = value;
+}
+
+/* The value of the strand is not finite, its forces are: the first vertex with which, moved to its place at rest or beside its
+ * neighbour, the value is finite. */
+static hg_status find_vertex(suspect *of, hg_physics *physics, double *energies)
+{
+    const int64_t S = of->x->shape[1], V = of->x->shape[2], i = of->b * S + of->s;
+    const int64_t groom = of->frame.groom ? of->frame.groom[of->b] : 0;
+    hg_tensor *moved = hg_tensor_make(of->ctx, of->dtype, 4, of->x->shape);
+    if (!moved) return HG_MEMORY;
+    for (int64_t v = 0; v < V; v++)
+        for (int place = 0; place < 2; place++) {
+            HG_TRY(hg_tensor_copy(moved, of->x));
+            for (int c = 0; c < 3; c++) {
+                const int64_t at = (i * V + v) * 3 + c;
+                set_item(moved, at,
+                         place == 0 ? of->data->rest[((groom * S + of->s) * V + v) * 3 + c]
+                                    : hg_tensor_item(of->x, v > 0   ? at - 3
+                                                            : V > 1 ? at + 3
+                                                                    : at) +
+                                          1e-3 * (1 - 0.4 * c));
+            }
+            HG_TRY(hg_physics_evaluate(physics, of->ctx, &of->frame, moved, NULL, energies, NULL));
+            if (!isfinite(energies[i])) continue;
+            of->v = v;
+            of->heals = true;
+            return HG_OK;
+        }
+    return HG_OK;
 }
 
 /* Evaluates the term alone; *found says whether a value or a force is not finite, of->b .. of->v where. */
@@ -71,6 +109,7 @@ static hg_status look(suspect *of, bool *found)
         of->s = i % S;
         *found = true;
     }
+    if (*found && !of->in_force) status = find_vertex(of, physics, energies);
     hg_physics_destroy(physics);
     hg_free(energies);
     return status;
@@ -194,7 +233,9 @@ static hg_status write_arrays(const suspect *of, hg_h5 *file)
     const hg_groom_data *data = of->data;
     const hg_site_kind site = of->term->energy->site.kind;
     HG_TRY(write_rows(of, file, "x", of->x, true));
-    HG_TRY(write_groom_value(of, file, "rest", data->rest, 3));
+    const bool makes_posed = asks(of, HG_INPUT_POSED) && !of->frame.posed;
+    if (asks(of, HG_INPUT_REST) || asks(of, HG_INPUT_ROOT_REST) || makes_posed)
+        HG_TRY(write_groom_value(of, file, "rest", data->rest, 3));
     if (asks(of, HG_INPUT_MASS)) HG_TRY(write_groom_value(of, file, "mass", data->mass, 1));
     for (int i = 0; i < of->asks.n_attributes; i++) {
         const char *name = of->asks.attributes[i].name;
@@ -254,7 +295,9 @@ static void describe(const suspect *of, const char *path, hg_text *text)
     if (of->in_force)
         hg_text_add(text, ": the force on vertex %lld", (long long)of->v);
     else
-        hg_text_add(text, ": its value; the largest force is that on vertex %lld", (long long)of->v);
+        hg_text_add(text,
+                    of->heals ? ": its value, by vertex %lld" : ": its value; the largest force is on vertex %lld",
+                    (long long)of->v);
     if (of->in_force && factor != 1)
         hg_text_add(text, ", times %.3g, the energy's weight and the gradient that came to it", factor);
     if (!path) return;

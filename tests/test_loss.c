@@ -447,11 +447,66 @@ static void test_refusals(void **state)
     bench_free(&b);
 }
 
+/* What a trap writes is read by the loss that it names: in f32 the same number that is not finite, in f64 a finite one. */
+static void check_trap(bench *b, const char *energy, const char *says, bool whole)
+{
+    hg_loss_result result;
+    hg_loss_options options = { .energies = energy, .dtype = HG_F32, .wrt = "x" };
+    char *trap = test_path("trap.h5"), *in = b->in;
+    hg_trap_nan(b->ctx, true, trap);
+    assert_int_equal(hg_loss_run(b->ctx, b->in, b->out, &options, &result), HG_NUMERIC);
+    if (!strstr(hg_message(), says) || !strstr(hg_message(), "hairgrad loss "))
+        fail_msg("it says \"%s\", expected \"%s\"", hg_message(), says);
+    hg_ctx_clear(b->ctx);
+    hg_trap_nan(b->ctx, false, NULL);
+    b->in = trap;
+    ok(hg_loss_run(b->ctx, b->in, b->out, &options, &result), "again");
+    assert_false(isfinite(result.energy));
+    options.dtype = HG_F64;
+    ok(hg_loss_run(b->ctx, b->in, b->out, &options, &result), "in f64");
+    assert_true(isfinite(result.energy) && result.energy > 0);
+    assert_int_equal(result.strands, whole ? S : 1);
+    b->in = in;
+    hg_free(trap);
+}
+
+static void test_trap(void **state)
+{
+    (void)state;
+    bench b;
+    bench_make(&b);
+    double far[S * V * 3], mass[S * V], stiffness[S] = { 1, 2, 3 }, q[S * (V - 1) * 4] = { 0 };
+    memcpy(far, b.x, sizeof far);
+    for (int c = 0; c < 3; c++) far[(V + 2) * 3 + c] *= 1e25; /* strand 1, vertex 2 */
+    for (int i = 0; i < S * V; i++) mass[i] = 1e-8 * (1 + i);
+    for (int i = 0; i < S * (V - 1); i++) q[4 * i] = 1;
+    hg_h5 *file;
+    ok(hg_h5_create(&file, b.in), b.in);
+    ok(hg_h5_write(file, "x", HG_F64, 3, (int64_t[]){ S, V, 3 }, far), "x");
+    ok(hg_h5_write(file, "rest", HG_F64, 3, (int64_t[]){ S, V, 3 }, b.rest), "rest");
+    ok(hg_h5_write(file, "posed", HG_F64, 3, (int64_t[]){ S, V, 3 }, b.rest), "posed");
+    ok(hg_h5_write(file, "predicted", HG_F64, 3, (int64_t[]){ S, V, 3 }, b.rest), "predicted");
+    ok(hg_h5_write(file, "body_distance", HG_F64, 2, (int64_t[]){ S, V }, mass), "body_distance");
+    ok(hg_h5_write(file, "mass", HG_F64, 2, (int64_t[]){ S, V }, mass), "mass");
+    ok(hg_h5_write(file, "stiffness", HG_F64, 1, (int64_t[]){ S }, stiffness), "stiffness");
+    ok(hg_h5_write(file, "q", HG_F64, 3, (int64_t[]){ S, V - 1, 4 }, q), "q");
+    ok(hg_h5_write_i64(file, "neighbours", 2, (int64_t[]){ 1, 2 }, (int64_t[]){ 1, V + 2 }), "neighbours");
+    ok(hg_h5_commit(file), b.in);
+    check_trap(&b, "stretch", "energy 'stretch' of frame 0, strand 1: the force on vertex 1", false);
+    check_trap(&b, "inertia", "energy 'inertia' of frame 0, strand 1: its value, by vertex 2", false);
+    check_trap(&b, "hair_style", "energy 'hair_style' of frame 0, strand 1: its value, by vertex 2", false);
+    check_trap(&b, "cosserat_stretch_shear",
+               "energy 'cosserat_stretch_shear' of frame 0, strand 1: its value, by vertex 2", false);
+    check_trap(&b, "gravity+stretch", "energy 'stretch' of frame 0, strand 1", false);
+    check_trap(&b, "adhesion", "energy 'adhesion' of frame 0, strand 0: its value, by vertex 1", true);
+    bench_free(&b);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_reference),  cmocka_unit_test(test_shapes),   cmocka_unit_test(test_sum),
-        cmocka_unit_test(test_neighbours), cmocka_unit_test(test_refusals),
+        cmocka_unit_test(test_neighbours), cmocka_unit_test(test_refusals), cmocka_unit_test(test_trap),
     };
     return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }
