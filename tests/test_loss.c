@@ -498,7 +498,7 @@ static void test_trap(void **state)
     check_trap(&b, "cosserat_stretch_shear",
                "energy 'cosserat_stretch_shear' of frame 0, strand 1: its value, by vertex 2", false);
     check_trap(&b, "gravity+stretch", "energy 'stretch' of frame 0, strand 1", false);
-    check_trap(&b, "adhesion", "energy 'adhesion' of frame 0, strand 0: its value, by vertex 1", true);
+    check_trap(&b, "adhesion", "energy 'adhesion' of frame 0, strand 0: the force on vertex 1", true);
     bench_free(&b);
 }
 
