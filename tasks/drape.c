@@ -81,6 +81,7 @@ static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg
     HG_TRY(hg_pose(ctx, d->poser, shape, motion, frame, d->body, NULL, NULL));
     HG_TRY(hg_pose_roots(ctx, d->poser, task->groom, d->strand, n, d->body, d->rotation, d->position));
     hg_hair_track_frame(&task->layout, &d->track, frame, shape, d->raw);
+    hg_hair_material_features(task, NULL, d->raw);
     hg_hair_normalise_frame(task, d->raw, d->inputs);
     HG_TRY(hg_hair_predict_frame(task, ctx, d->part, d->inputs, d->rest, d->rotation, d->position, d->x));
     hg_pose_strands(ctx, n, V, d->rest->data, d->rotation, d->position, d->posed);

@@ -1,7 +1,8 @@
 /* features: what the network is told of a frame, and how every input is brought to order one.
  *
  *   [root UV 2 | z_rest | z_lock]  of the strand
- *   [shape 10 | pose: 6 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint)]  of the frame
+ *   [shape 10 | pose: 6 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint) | materials]
+ *                                  of the frame
  *
  * Pose: the first two columns of a joint's rotation; local to its parent, but the head's is global with its heading
  * removed: it carries the direction of gravity. Velocities of frame f lie between f - 1 and f: angular ones in the joint's
@@ -54,8 +55,8 @@ hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config,
     HG_TRY(find_joints(config, "features.velocity_joints", body, layout->velocity, &layout->n_velocity));
     layout->pose_inputs = 6 * layout->n_pose;
     layout->velocity_inputs = 3 + 3 * layout->n_velocity;
-    layout->frame_inputs =
-        (layout->shape ? HG_SHAPES : 0) + layout->pose_inputs + layout->history * layout->velocity_inputs;
+    layout->frame_inputs = (layout->shape ? HG_SHAPES : 0) + layout->pose_inputs +
+                           layout->history * layout->velocity_inputs + layout->materials;
     if (layout->frame_inputs < 1)
         return hg_fail(HG_INVALID,
                        "%s: features: no shape, no pose and no history: the network would not see the frame",
@@ -213,11 +214,13 @@ hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motio
         for (int i = 0; i < task->n_clips[held_out]; i++)
             if (task->clips[held_out][i].motion == motion) {
                 hg_hair_track_frame(&task->layout, &task->clips[held_out][i].track, frame, shape, out);
+                hg_hair_material_features(task, NULL, out);
                 return HG_OK;
             }
     hg_hair_track track;
     HG_TRY(hg_hair_track_create(&track, &task->layout, task->body, motion));
     hg_hair_track_frame(&task->layout, &track, frame, shape, out);
+    hg_hair_material_features(task, NULL, out);
     hg_hair_track_destroy(&track);
     return HG_OK;
 }
@@ -334,6 +337,11 @@ static hg_status frame_feature_rows(hg_hair_task *task)
                       : hg_format("angular_velocity[%d].%s.%c", lag, body->joint_name[layout->velocity[i / 3 - 1]],
                                   axis[i % 3]),
                 mean[i], deviation[i]));
+    for (int i = 0; i < task->n_materials; i++) { /* uniform between two logarithms */
+        const double low = log10(task->materials[i].low), high = log10(task->materials[i].high);
+        HG_TRY(add_feature(task, hg_format("log10(%s)", task->materials[i].name), 0.5 * (low + high),
+                           fmax((high - low) / sqrt(12), 1e-3)));
+    }
     return HG_OK;
 }
 

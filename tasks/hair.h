@@ -3,6 +3,7 @@
  *   schema.c     keys of a config, energies of a config         strands.c    locks, encoder, what belongs to a strand
  *   world.c      body, groom, clips                             features.c   what belongs to a frame, normalisation
  *   subset.c     strands of a step and their physics            sample.c     the batch of a step
+ *   material.c   parameters of energies that are inputs of the network, or learnt
  *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c
  */
 #ifndef HG_TASKS_HAIR_H
@@ -35,7 +36,8 @@ typedef struct {
     int pose[HG_HAIR_JOINTS], velocity[HG_HAIR_JOINTS]; /* joints of the body */
     int head;
     int pose_inputs, velocity_inputs; /* per frame */
-    int frame_inputs;                 /* shape + pose + history * velocity */
+    int materials;
+    int frame_inputs; /* shape + pose + history * velocity + materials */
 } hg_hair_layout;
 
 /* What the joints of a clip do, frame by frame; nothing here depends on the body shape. */
@@ -87,16 +89,33 @@ typedef struct {
 
 typedef enum { HG_HAIR_TRAINING = 0, HG_HAIR_EVALUATION = 1 } hg_hair_purpose;
 
+/* ---- materials ---------------------------------------------------------------------------------------------- */
+
+enum { HG_HAIR_MATERIALS = 8 };
+typedef struct {
+    char *name; /* "bend_twist.stiffness" */
+    const char *unit;
+    double low, high;
+    double value; /* of a drape; at first the config's */
+} hg_hair_material;
+
+typedef struct {
+    char *name, *report; /* "bend_twist.stiffness"; with "material." before it */
+    double start;
+    hg_tensor *theta; /* [] f32: the value is start * exp(theta) */
+} hg_hair_learnt;
+
 /* ---- batch -------------------------------------------------------------------------------------------------- */
 
 /* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. */
 typedef struct {
     int64_t frames, strands, body_vertices;
-    int32_t *groom;  /* [B] of the subset's; frames of one groom stand together */
-    float *inputs;   /* [3,B,frame_inputs] normalised */
-    float *rotation; /* [3,B,S,4] */
-    float *position; /* [3,B,S,3] */
-    float *body;     /* [B,N,3] at t */
+    int32_t *groom;   /* [B] of the subset's; frames of one groom stand together */
+    float *inputs;    /* [3,B,frame_inputs] normalised */
+    float *rotation;  /* [3,B,S,4] */
+    float *position;  /* [3,B,S,3] */
+    float *body;      /* [B,N,3] at t */
+    double *material; /* [B,materials] */
 } hg_hair_batch;
 
 /* ---- task --------------------------------------------------------------------------------------------------- */
@@ -107,8 +126,8 @@ struct hg_hair_task {
     uint64_t config_hash, seed;
     hg_dtype compute; /* of the network's products in a training step; validations are f32 */
     char *folder, *backend, *backend_note, *start_from; /* start_from: a checkpoint; NULL: none */
-    bool opened;                         /* a finished run: nothing is trained or written */
-    bool folder_made, encoder_trained;   /* now: not there before */
+    bool opened;                                        /* a finished run: nothing is trained or written */
+    bool folder_made, encoder_trained;                  /* now: not there before */
 
     hg_body *body;
     hg_hair_style *styles;       /* [n_grooms + 1]: those trained on, then one that is only draped */
@@ -134,6 +153,11 @@ struct hg_hair_task {
     int n_features;
     double strand_scale; /* of the encoder's inputs [1/m] */
     hg_model *encoder, *model;
+    hg_model whole; /* model, with what else is learnt among its parameters */
+    hg_tensor **whole_params;
+    hg_hair_material materials[HG_HAIR_MATERIALS];
+    hg_hair_learnt learnt[HG_HAIR_MATERIALS];
+    int n_materials, n_learnt;
     hg_tensor *output_map; /* [outputs,(V-1)*3]: outputs -> displacements */
     hg_tensor *mean_tensor, *inverse_deviation;
 
@@ -176,9 +200,19 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
 /* Fills slot b of a batch: the clip at frame - 2, frame - 1 and frame, with a body shape and one of the subset's grooms. */
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
                              int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
-                             const double shape[HG_SHAPES]);
+                             const double shape[HG_SHAPES], const double *material);
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);
 void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
+
+hg_status hg_hair_materials_create(hg_hair_task *task); /* once the terms are there */
+void hg_hair_materials_destroy(hg_hair_task *task);
+hg_status hg_hair_whole_model(hg_hair_task *task);
+void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, double *values);
+/* Fills the last raw columns of a frame; values NULL: those of a drape. */
+void hg_hair_material_features(const hg_hair_task *task, const double *values, float *frame);
+hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const double *values, int64_t frames,
+                                 int64_t strands, hg_frame *frame);
+void hg_hair_report_learnt(const hg_hair_task *task, hg_report *report);
 
 /* Strands [n,V,3] of `frames` frames from the network. part: hg_model's strand_part of the strands. */
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,

@@ -227,13 +227,14 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B),
               *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
     hg_tensor *x = predict_rows(task, ctx, batch, subset, &in, 2 * B, B);
-    const hg_frame frame = { .groom = batch->groom,
-                             .root_rotation = now_rotation,
-                             .root_position = now_position,
-                             .predicted = predicted,
-                             .previous = previous,
-                             .body_vertices = body,
-                             .dt = 1 / task->rate };
+    hg_frame frame = { .groom = batch->groom,
+                       .root_rotation = now_rotation,
+                       .root_position = now_position,
+                       .predicted = predicted,
+                       .previous = previous,
+                       .body_vertices = body,
+                       .dt = 1 / task->rate };
+    if (hg_hair_physics_inputs(task, ctx, batch->material, B, S, &frame) != HG_OK) return NULL;
     if (task->clip_vertex > 0) x = hg_clip_gradient(ctx, x, task->clip_vertex / ((double)(B * S) * task->reference));
     hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, unweighted);
     int gravity;
@@ -256,6 +257,7 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
         hg_report_add(report, task->term_name[i][0], task->terms.term[i].weight * joule / task->reference);
         hg_report_add(report, task->term_name[i][1], joule);
     }
+    hg_hair_report_learnt(task, report);
     return value;
 }
 
@@ -280,11 +282,12 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         int clip = 0;
         while (frame >= task->clips[held_out][clip].motion->frames)
             frame -= task->clips[held_out][clip++].motion->frames;
-        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 };
+        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 }, material[HG_HAIR_MATERIALS];
         hg_hair_held_out_shape(task, k, shape);
+        hg_hair_draw_materials(task, task->seed + 0x5eed, (uint64_t)k, material);
         hg_step_reset(ctx);
         status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, (int32_t)(k % task->n_grooms),
-                                    &task->clips[held_out][clip], frame, shape);
+                                    &task->clips[held_out][clip], frame, shape, material);
         if (status != HG_OK) break;
         const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
         status = hg_ctx_status(ctx);
@@ -487,12 +490,14 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(take_compute(task));
     HG_TRY(hg_hair_terms_create(&task->terms, task->config));
     HG_TRY(name_terms(task));
+    HG_TRY(hg_hair_materials_create(task));
     HG_TRY(hg_hair_world_create(task, progress));
     HG_TRY(hg_hair_strands_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
     task->reference = hg_hair_reference_energy(task, &task->clip_vertex);
     task->clip_vertex *= hg_config_number(task->config, "training.clip_vertex");
     HG_TRY(make_model(task));
+    HG_TRY(hg_hair_whole_model(task));
     hg_progress_report(progress, 0, "physics");
     HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));
     task->batch_bytes = hg_hair_batch_bytes(task, hg_config_integer(task->config, "training.frames"), task->subset.n);
@@ -543,6 +548,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
     if (!task) return;
     hg_hair_subset_destroy(&task->subset);
     hg_hair_subset_destroy(&task->evaluation);
+    hg_hair_materials_destroy(task);
     hg_model_destroy(task->model);
     hg_model_destroy(task->encoder);
     hg_tensor_destroy(task->output_map);
@@ -589,7 +595,7 @@ hg_status hg_hair_task_open(hg_hair_task **out, hg_ctx *ctx, const char *run_fol
     if (status == HG_OK && !hg_file_exists(weights))
         status = hg_fail(HG_IO, "%s: no best.h5 and no checkpoint.h5: nothing has been trained here yet", run_folder);
     if (status == HG_OK) status = create_or_open(&task, ctx, config, run_folder, true, progress);
-    if (status == HG_OK) status = hg_checkpoint_load(weights, task->model, NULL, NULL, &task->task, NULL, NULL);
+    if (status == HG_OK) status = hg_checkpoint_load(weights, &task->whole, NULL, NULL, &task->task, NULL, NULL);
     hg_config_destroy(config);
     hg_free(config_path);
     hg_free(best);
@@ -605,7 +611,7 @@ hg_status hg_hair_task_open(hg_hair_task **out, hg_ctx *ctx, const char *run_fol
 /* ---- what others may ask ------------------------------------------------------------------------------------ */
 
 const hg_task *hg_hair_task_of(hg_hair_task *task) { return &task->task; }
-hg_model *hg_hair_model(hg_hair_task *task) { return task->model; }
+hg_model *hg_hair_model(hg_hair_task *task) { return &task->whole; }
 hg_train_options hg_hair_train_options(const hg_hair_task *task) { return task->options; }
 const hg_groom *hg_hair_groom(const hg_hair_task *task) { return task->groom; }
 int hg_hair_grooms(const hg_hair_task *task) { return task->n_grooms; }

@@ -128,6 +128,7 @@ static hg_status strands_of(evaluation *e, int64_t frame)
     hg_tensor_touch(e->rotation);
     hg_tensor_touch(e->position);
     hg_hair_track_frame(&task->layout, &e->track, frame, e->shape, e->raw);
+    hg_hair_material_features(task, NULL, e->raw);
     hg_hair_normalise_frame(task, e->raw, e->inputs);
     hg_no_grad_begin(e->ctx);
     hg_tensor *x =
@@ -148,12 +149,13 @@ static hg_status energies(evaluation *e, side *s, double *terms)
     float *predicted = e->predicted->data;
     for (int64_t i = 0, n = hg_tensor_count(e->predicted); i < n; i++) predicted[i] = 2 * before[i] - older[i];
     hg_tensor_touch(e->predicted);
-    const hg_frame frame = { .root_rotation = e->rotation,
-                             .root_position = e->position,
-                             .predicted = e->predicted,
-                             .previous = s->before,
-                             .body_vertices = e->body,
-                             .dt = 1 / e->task->rate };
+    hg_frame frame = { .root_rotation = e->rotation,
+                       .root_position = e->position,
+                       .predicted = e->predicted,
+                       .previous = s->before,
+                       .body_vertices = e->body,
+                       .dt = 1 / e->task->rate };
+    HG_TRY(hg_hair_physics_inputs(e->task, e->ctx, NULL, 1, e->task->evaluation.n, &frame));
     return hg_physics_evaluate(e->task->evaluation.physics, e->ctx, &frame, s->now, terms, NULL, NULL);
 }
 

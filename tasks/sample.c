@@ -9,7 +9,8 @@ enum { STREAM_FRAME = 7200, STREAM_SHAPE = 7201, STREAM_GROOM = 7202, FRAMES = 2
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands)
 {
     const size_t floats = (size_t)(frames * (3 * (task->layout.frame_inputs + strands * 7) + task->body_vertices * 3));
-    return sizeof(hg_hair_batch) + 64 + floats * sizeof(float) + (size_t)frames * sizeof(int32_t) + 5 * 64;
+    return sizeof(hg_hair_batch) + 64 + floats * sizeof(float) +
+           (size_t)frames * (sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 6 * 64;
 }
 
 static float *take(char **at, int64_t floats)
@@ -31,15 +32,17 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
     batch->position = take(&at, 3 * frames * strands * 3);
     batch->body = take(&at, frames * task->body_vertices * 3);
     batch->groom = (int32_t *)(void *)take(&at, frames);
+    batch->material = (double *)(void *)take(&at, 2 * frames * task->n_materials);
     return batch;
 }
 
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
                              int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
-                             const double shape[HG_SHAPES])
+                             const double shape[HG_SHAPES], const double *material)
 {
     const int64_t B = batch->frames, S = batch->strands;
     batch->groom[b] = groom;
+    for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
     const int inputs = task->layout.frame_inputs;
     for (int64_t time = 0; time < 3; time++) {
         const int64_t at = frame - 2 + time, slot = time * B + b;
@@ -54,6 +57,7 @@ hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *bat
         hg_profile_end(ctx, 28 * S);
         float *out = batch->inputs + slot * inputs;
         hg_hair_track_frame(&task->layout, &clip->track, at, shape, out);
+        hg_hair_material_features(task, material, out);
         hg_hair_normalise_frame(task, out, out);
     }
     return HG_OK;
@@ -103,9 +107,11 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
         int64_t frame = (int64_t)hg_random_below(key, STREAM_FRAME, counter, (uint64_t)task->training_frames);
         int clip = 0;
         while (frame >= task->clips[0][clip].motion->frames) frame -= task->clips[0][clip++].motion->frames;
-        double shape[HG_SHAPES];
+        double shape[HG_SHAPES], material[HG_HAIR_MATERIALS];
         hg_hair_draw_shape(task, key, counter, shape);
-        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, b, groom[b], &task->clips[0][clip], frame, shape));
+        hg_hair_draw_materials(task, key, counter, material);
+        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, b, groom[b], &task->clips[0][clip], frame, shape,
+                                  material));
     }
     return HG_OK;
 }

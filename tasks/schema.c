@@ -130,6 +130,12 @@ int hg_hair_energies(const hg_energy **energies)
 static int energy_rows(const hg_energy *energy, hg_config_row *out)
 {
     int n = 0;
+    for (int i = 0; i < HG_ENERGY_PARAMS && energy->params[i].name; i++)
+        out[n++] = (hg_config_row){ .key = hg_format("features.materials.%s.%s", energy->name, energy->params[i].name),
+                                    .type = HG_NUMBERS,
+                                    .value = "",
+                                    .unit = energy->params[i].unit,
+                                    .help = "lowest and highest value: drawn for every frame of a step, and an input" };
     out[n++] =
         (hg_config_row){ .key = hg_format("losses.%s", energy->name), .type = HG_SECTION, .help = energy->equation };
     out[n++] = (hg_config_row){ .key = hg_format("losses.%s.weight", energy->name),
@@ -137,6 +143,10 @@ static int energy_rows(const hg_energy *energy, hg_config_row *out)
                                 .value = "0",
                                 .unit = "1",
                                 .help = "times the energy; 1 when its section is written without it" };
+    out[n++] = (hg_config_row){ .key = hg_format("losses.%s.learn", energy->name),
+                                .type = HG_TEXTS,
+                                .value = "",
+                                .help = "parameters that are learnt, from the values given here" };
     for (int i = 0; i < HG_ENERGY_PARAMS && energy->params[i].name; i++) {
         const hg_energy_param *param = &energy->params[i];
         out[n++] = (hg_config_row){ .key = hg_format("losses.%s.%s", energy->name, param->name),
@@ -161,7 +171,7 @@ static schema *schema_make(void)
     const hg_energy *energies[ENERGIES];
     const int n_energies = hg_hair_energies(energies);
     const int fixed = (int)(sizeof rows / sizeof *rows);
-    const int most = fixed + n_energies * (2 + HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
+    const int most = fixed + n_energies * (3 + 2 * HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
     schema *made = hg_alloc(1, sizeof *made);
     if (!made) return NULL;
     made->rows = hg_alloc((size_t)most, sizeof *made->rows);

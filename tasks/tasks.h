@@ -47,6 +47,11 @@ double hg_hair_rate(const hg_hair_task *task);                    /* frames per 
 int hg_hair_clips(const hg_hair_task *task, bool held_out);
 const hg_motion *hg_hair_clip(const hg_hair_task *task, bool held_out, int i);
 
+/* Materials that are inputs of the network (`features.materials`): what a drape, an evaluation and exported sample rows have. */
+int       hg_hair_materials(const hg_hair_task *task);
+hg_status hg_hair_material_at(const hg_hair_task *task, int i, const char **name, const char **unit, double range[2], double *value);
+hg_status hg_hair_set_material(hg_hair_task *task, const char *name, double value); /* "bend_twist.stiffness"; outside of its range is an error */
+
 /* ---- network input and output, for export ------------------------------------------------------------------- */
 
 typedef struct { const char *name; int first, count; double mean, deviation; } hg_feature; /* of the concatenated input, in order */

@@ -73,9 +73,9 @@ static double energy(session *s, int n, const int32_t *groom, const int64_t *fra
     double shape[HG_SHAPES] = { 0.3 }, unweighted[HG_HAIR_TERMS];
     hg_step_reset(s->ctx);
     for (int b = 0; b < n; b++)
-        assert_int_equal(
-            hg_hair_batch_fill(task, s->ctx, batch, &task->subset, b, groom[b], &task->clips[0][0], frame[b], shape),
-            HG_OK);
+        assert_int_equal(hg_hair_batch_fill(task, s->ctx, batch, &task->subset, b, groom[b], &task->clips[0][0],
+                                            frame[b], shape, NULL),
+                         HG_OK);
     const hg_tensor *value = hg_hair_energy(task, s->ctx, task->model, batch, &task->subset, unweighted);
     if (!value) fail_msg("%s", hg_message());
     const double joule = hg_tensor_item(value, 0) * (double)(n * task->subset.n) * task->reference;

@@ -1,0 +1,273 @@
+/* tasks: materials as inputs of the network, and learnt ones. */
+#include "hairgrad.h"
+
+#include <math.h>
+#include <setjmp.h>
+#include <stdarg.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <cmocka.h>
+
+static const char conditioned[] =
+    "scene: { strands: 80, vertices: 9, seconds: 2 s, motion_kinds: [nod], held_out_kinds: [turn], style: wavy }\n"
+    "model: { width: 32, output: directions, pinned: 2 }\n"
+    "features: { shape: false, pose_joints: [Head], history: 0, latent: 5, lock_size: 16, encoder_width: 24,\n"
+    "  encoder_steps: 60, materials: { bend_twist: { stiffness: [3e-10, 3e-7] } } }\n"
+    "losses: { stretch: { stiffness: 2 N/m }, bend_twist: { stiffness: 1e-8 N*m^2 }, gravity: {}}\n"
+    "training: { strands: 80, frames: 4, steps: 400, warm_up: 10, log_every: 10, validate_every: 100,\n"
+    "  validation_frames: 4, checkpoint_every: 100, learning_rate: 5e-3 }\n";
+
+static char folder[256];
+
+static int make_folder(void **state)
+{
+    (void)state;
+    snprintf(folder, sizeof folder, "%s/hairgrad_materials_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
+    return mkdtemp(folder) ? 0 : -1;
+}
+
+static int remove_folder(void **state)
+{
+    (void)state;
+    char command[600];
+    snprintf(command, sizeof command, "rm -rf '%s'", folder);
+    return system(command) == 0 ? 0 : -1;
+}
+
+typedef struct {
+    hg_ctx *ctx;
+    hg_hair_task *task;
+    hg_status status;
+} session;
+
+static session begin(const char *run, int threads, const char *const *set)
+{
+    session s = { 0 };
+    int n;
+    const hg_config_row *rows = hg_hair_schema(&n);
+    hg_config *config = NULL;
+    if (hg_config_parse(&config, conditioned, "materials.yaml", rows, n) != HG_OK) fail_msg("%s", hg_message());
+    for (int i = 0; set && set[i]; i += 2)
+        if (hg_config_set(config, set[i], set[i + 1]) != HG_OK) fail_msg("%s", hg_message());
+    assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
+    char path[320];
+    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    s.status = hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL);
+    hg_config_destroy(config);
+    return s;
+}
+
+static void end(session *s)
+{
+    hg_hair_task_destroy(s->task);
+    hg_ctx_destroy(s->ctx);
+}
+
+static bool stop_at(void *self) { return (*(int *)self)-- == 0; }
+
+static uint64_t train(session *s, bool resume, int stop)
+{
+    if (s->status != HG_OK) fail_msg("%s", hg_message());
+    hg_train_options options = hg_hair_train_options(s->task);
+    options.resume = resume;
+    if (stop > 0) options.stop = stop_at, options.stop_self = &stop;
+    hg_train_result result;
+    if (hg_train(s->ctx, hg_hair_model(s->task), hg_hair_task_of(s->task), &options, NULL, &result) != HG_OK)
+        fail_msg("%s", hg_message());
+    const hg_model *model = hg_hair_model(s->task);
+    uint64_t hash = 0;
+    for (int i = 0; i < model->n_params; i++)
+        hash = hg_hash(model->params[i]->data, hg_tensor_bytes(model->params[i]), hash);
+    return hash;
+}
+
+/* How far the tips hang below those of the posed groom, on average. */
+static hg_status measure(void *self, const hg_drape_frame *frame)
+{
+    double *drop = self;
+    for (int64_t s = 0; s < frame->strands; s++) {
+        const int64_t tip = (s * frame->vertices + frame->vertices - 1) * 3 + 1;
+        *drop += (double)(frame->posed[tip] - frame->x[tip]) / (double)frame->strands;
+    }
+    return HG_OK;
+}
+
+static double drop(session *s, double stiffness)
+{
+    double value = 0;
+    if (hg_hair_set_material(s->task, "bend_twist.stiffness", stiffness) != HG_OK) fail_msg("%s", hg_message());
+    assert_int_equal(
+        hg_hair_drape(s->task, s->ctx, hg_hair_clip(s->task, false, 0), NULL, 0, 1, 1, measure, &value, NULL), HG_OK);
+    return value;
+}
+
+/* One network drapes soft and stiff hair: softer hair hangs lower, and the energies follow. */
+static void one_network_for_a_range(void **state)
+{
+    (void)state;
+    session s = begin("range", 2, NULL);
+    if (s.status != HG_OK) fail_msg("%s", hg_message());
+    assert_int_equal(hg_hair_materials(s.task), 1);
+    const char *name, *unit;
+    double range[2], value;
+    assert_int_equal(hg_hair_material_at(s.task, 0, &name, &unit, range, &value), HG_OK);
+    assert_string_equal(name, "bend_twist.stiffness");
+    assert_string_equal(unit, "N*m^2");
+    assert_true(range[0] == 3e-10 && range[1] == 3e-7 && value == 1e-8);
+    const hg_feature *feature;
+    const int n = hg_hair_features(s.task, &feature);
+    assert_string_equal(feature[n - 1].name, "log10(bend_twist.stiffness)");
+    float raw[64];
+    assert_int_equal(hg_hair_frame_features(s.task, s.ctx, hg_hair_clip(s.task, false, 0), 0, NULL, raw), HG_OK);
+    assert_true(fabs((double)raw[6] + 8) < 1e-6); /* behind the six of the pose */
+
+    assert_true(fabs(drop(&s, 1e-9) - drop(&s, 1e-7)) < 1e-9); /* untrained it makes no difference */
+    train(&s, false, 0);
+    const double soft = drop(&s, 4e-10), middle = drop(&s, 1e-8), stiff = drop(&s, 2.5e-7);
+    if (!(soft > middle + 1e-3 && middle > stiff + 1e-3)) fail_msg("%g, %g, %g", soft, middle, stiff);
+    hg_hair_metrics low, high;
+    const hg_motion *clip = hg_hair_clip(s.task, true, 0);
+    hg_hair_set_material(s.task, name, 4e-10);
+    assert_int_equal(hg_hair_evaluate(s.task, s.ctx, clip, NULL, 3, &low, NULL), HG_OK);
+    hg_hair_set_material(s.task, name, 2.5e-7);
+    assert_int_equal(hg_hair_evaluate(s.task, s.ctx, clip, NULL, 3, &high, NULL), HG_OK);
+    assert_true(low.energy < high.energy); /* stiffer hair gives way less */
+    assert_int_equal(hg_hair_set_material(s.task, name, 1e-6), HG_INVALID);
+    assert_int_equal(hg_hair_set_material(s.task, "stretch.stiffness", 2), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "bend_twist.stiffness"));
+    end(&s);
+}
+
+static const char *const quick[] = {
+    "training.steps", "30", "training.checkpoint_every", "10", "training.ema", "0.9", NULL
+};
+
+static void drawn_materials_resume_to_the_bit(void **state)
+{
+    (void)state;
+    session whole = begin("whole", 2, quick);
+    const uint64_t expected = train(&whole, false, 0);
+    end(&whole);
+    session first = begin("parts", 1, quick);
+    train(&first, false, 17);
+    end(&first);
+    session second = begin("parts", 2, quick);
+    assert_true(train(&second, true, 0) == expected);
+    end(&second);
+}
+
+/* Without data a learnt stiffness goes down, and stays positive: the energy is smallest without it. */
+static void a_parameter_is_learnt(void **state)
+{
+    (void)state;
+    const char *const set[] = { "training.steps",
+                                "60",
+                                "training.checkpoint_every",
+                                "20",
+                                "features.materials.bend_twist.stiffness",
+                                "[]",
+                                "losses.bend_twist.learn",
+                                "[stiffness]",
+                                "losses.bend_twist.stiffness",
+                                "1e-7",
+                                NULL };
+    session s = begin("learnt", 2, set);
+    const uint64_t expected = train(&s, false, 0);
+    const hg_model *model = hg_hair_model(s.task);
+    const hg_tensor *theta = model->params[model->n_params - 1];
+    assert_string_equal(theta->name, "material.bend_twist.stiffness");
+    const double learnt = hg_tensor_item(theta, 0);
+    if (!(learnt < -0.02 && isfinite(learnt))) fail_msg("theta %g", learnt);
+    end(&s);
+    void *log = NULL;
+    size_t size;
+    char path[320];
+    snprintf(path, sizeof path, "%s/learnt/log.jsonl", folder);
+    assert_int_equal(hg_file_read(path, &log, &size), HG_OK);
+    const char *last = NULL;
+    for (const char *at = log; (at = strstr(at, "\"material.bend_twist.stiffness\": ")); at++) last = at;
+    assert_non_null(last);
+    assert_true(fabs(strtod(strchr(last, ':') + 1, NULL) / (1e-7 * exp(learnt)) - 1) < 0.01); /* of the step before */
+    hg_free(log);
+
+    session first = begin("learnt_parts", 1, set);
+    train(&first, false, 33);
+    end(&first);
+    session second = begin("learnt_parts", 2, set);
+    assert_true(train(&second, true, 0) == expected);
+    end(&second);
+    hg_ctx *ctx = NULL;
+    hg_hair_task *opened = NULL;
+    snprintf(path, sizeof path, "%s/learnt", folder);
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), HG_OK);
+    if (hg_hair_task_open(&opened, ctx, path, NULL) != HG_OK) fail_msg("%s", hg_message());
+    assert_true(hg_tensor_item(hg_hair_model(opened)->params[hg_hair_model(opened)->n_params - 1], 0) < 0);
+    hg_hair_metrics metrics;
+    assert_int_equal(hg_hair_evaluate(opened, ctx, hg_hair_clip(opened, true, 0), NULL, 2, &metrics, NULL), HG_OK);
+    hg_hair_task_destroy(opened);
+    hg_ctx_destroy(ctx);
+}
+
+static void wrong_materials_are_refused(void **state)
+{
+    (void)state;
+    const char *const wrong[][2] = { { "features.materials.bend_twist.stiffness", "[1e-7, 1e-9]" },
+                                     { "features.materials.bend_twist.stiffness", "[1e-7, 1e-6]" },
+                                     { "features.materials.bend_twist.stiffness", "[1e-9]" },
+                                     { "features.materials.drag.c", "[1, 3]" },
+                                     { "losses.bend_twist.learn", "[stifness]" },
+                                     { "losses.bend_twist.learn", "[stiffness]" } };
+    const char *const said[] = { "highest above", "is not between",   "two numbers",
+                                 "not among",     "has no parameter", "input of the network already" };
+    for (int i = 0; i < 6; i++) {
+        session s = begin(NULL, 1, (const char *const[]){ wrong[i][0], wrong[i][1], NULL });
+        assert_int_equal(s.status, HG_INVALID);
+        if (!strstr(hg_message(), said[i])) fail_msg("%s", hg_message());
+        end(&s);
+    }
+}
+
+/* bf16 products while training: another network, about as good, validated in f32. */
+static void bf16_compute(void **state)
+{
+    (void)state;
+    const char *const set[] = {
+        "training.compute", "bf16", "training.steps", "60", "training.validate_every", "0", NULL
+    };
+    const char *const same[] = {
+        "training.compute", "f32", "training.steps", "60", "training.validate_every", "0", NULL
+    };
+    session s = begin(NULL, 2, set);
+    if (s.status == HG_UNSUPPORTED) {
+        assert_non_null(strstr(hg_message(), "training.compute"));
+        end(&s);
+        skip();
+    }
+    const uint64_t hash = train(&s, false, 0);
+    assert_non_null(strstr(hg_hair_train_options(s.task).backend, "bf16"));
+    assert_int_equal(hg_ctx_compute_dtype(s.ctx), HG_F32); /* as it was */
+    hg_report rounded = { 0 }, plain = { 0 };
+    const hg_task *task = hg_hair_task_of(s.task);
+    assert_int_equal(task->validate(task->self, s.ctx, hg_hair_model(s.task), &rounded), HG_OK);
+    end(&s);
+    session p = begin(NULL, 2, same);
+    assert_true(train(&p, false, 0) != hash);
+    task = hg_hair_task_of(p.task);
+    assert_int_equal(task->validate(task->self, p.ctx, hg_hair_model(p.task), &plain), HG_OK);
+    const double a = hg_report_get(&rounded, "validation"), b = hg_report_get(&plain, "validation");
+    if (!(fabs(a - b) < 0.1 * fabs(b))) fail_msg("%g in bf16, %g in f32", a, b);
+    end(&p);
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = {
+        cmocka_unit_test(one_network_for_a_range),
+        cmocka_unit_test(drawn_materials_resume_to_the_bit),
+        cmocka_unit_test(a_parameter_is_learnt),
+        cmocka_unit_test(wrong_materials_are_refused),
+        cmocka_unit_test(bf16_compute),
+    };
+    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+}
