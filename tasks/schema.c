@@ -66,6 +66,9 @@ static const hg_config_row rows[] = {
     { "features.encoder_steps", HG_INTEGER, "1000", NULL, NULL, 1, 1000000,
       "training steps of the strand autoencoder" },
 
+    { "features.materials", HG_SECTION, NULL, NULL, NULL, 0, 0,
+      "parameters of energies that are inputs of the network: ENERGY: { PARAMETER: [lowest, highest] }" },
+
     /* ---- losses: the common part */
     { "losses", HG_SECTION, NULL, NULL, NULL, 0, 0, "the energies, one section each" },
 
@@ -130,6 +133,9 @@ int hg_hair_energies(const hg_energy **energies)
 static int energy_rows(const hg_energy *energy, hg_config_row *out)
 {
     int n = 0;
+    out[n++] = (hg_config_row){ .key = hg_format("features.materials.%s", energy->name),
+                                .type = HG_SECTION,
+                                .help = "ranges of its parameters" };
     for (int i = 0; i < HG_ENERGY_PARAMS && energy->params[i].name; i++)
         out[n++] = (hg_config_row){ .key = hg_format("features.materials.%s.%s", energy->name, energy->params[i].name),
                                     .type = HG_NUMBERS,
@@ -171,7 +177,7 @@ static schema *schema_make(void)
     const hg_energy *energies[ENERGIES];
     const int n_energies = hg_hair_energies(energies);
     const int fixed = (int)(sizeof rows / sizeof *rows);
-    const int most = fixed + n_energies * (3 + 2 * HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
+    const int most = fixed + n_energies * (4 + 2 * HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
     schema *made = hg_alloc(1, sizeof *made);
     if (!made) return NULL;
     made->rows = hg_alloc((size_t)most, sizeof *made->rows);
