@@ -136,13 +136,11 @@ static hg_status read_numbers(hg_h5 *file, const char *name, int64_t n, double *
     return HG_OK;
 }
 
-static hg_status body_read(hg_h5 *file, const char *path, hg_body *b)
+static hg_status body_read(hg_h5 *file, const char *path, const scene_axes *axes, void *to)
 {
+    hg_body *b = to;
     int64_t shape[6];
     int names = 0;
-    scene_axes axes;
-    HG_TRY(scene_format_check(file, path, BODY_FORMAT));
-    HG_TRY(scene_axes_read(file, path, &axes));
     HG_TRY(hg_h5_read(file, "/points", HG_F32, 2, (int64_t[]){ -1, 3 }, shape, (void **)&b->points));
     b->vertices = shape[0];
     HG_TRY(hg_h5_read(file, "/triangles", HG_I32, 2, (int64_t[]){ -1, 3 }, shape, (void **)&b->triangles));
@@ -177,14 +175,14 @@ static hg_status body_read(hg_h5 *file, const char *path, hg_body *b)
     HG_TRY(read_numbers(file, "/scalp_axis", 3, b->scalp_axis));
     HG_TRY(read_numbers(file, "/scalp_centre", 3, b->scalp_centre));
 
-    scene_axes_points(&axes, b->points, b->vertices);
-    scene_axes_points(&axes, b->joint, b->joints);
-    scene_axes_points(&axes, b->joint_shapes, HG_SHAPES * b->joints);
-    scene_axes_points(&axes, b->shapes, HG_SHAPES * b->vertices);
-    if (axes.z_up || axes.scale != 1) {
+    scene_axes_points(axes, b->points, b->vertices);
+    scene_axes_points(axes, b->joint, b->joints);
+    scene_axes_points(axes, b->joint_shapes, HG_SHAPES * b->joints);
+    scene_axes_points(axes, b->shapes, HG_SHAPES * b->vertices);
+    if (axes->z_up || axes->scale != 1) {
         float turned[6];
         scene_put(turned, hg_vec3d_load(b->scalp_axis)), scene_put(turned + 3, hg_vec3d_load(b->scalp_centre));
-        scene_axes_points(&axes, turned, 2);
+        scene_axes_points(axes, turned, 2);
         for (int i = 0; i < 3; i++) b->scalp_axis[i] = (double)turned[i], b->scalp_centre[i] = (double)turned[3 + i];
     }
     return body_check(b, path);
@@ -192,12 +190,9 @@ static hg_status body_read(hg_h5 *file, const char *path, hg_body *b)
 
 hg_status hg_body_load(hg_body **body, const char *path)
 {
-    hg_h5 *file;
     *body = NULL;
-    HG_TRY(hg_h5_open(&file, path));
     hg_body *b = hg_alloc(1, sizeof *b);
-    hg_status status = b ? body_read(file, path, b) : HG_MEMORY;
-    hg_h5_close(file);
+    hg_status status = b ? scene_file_load(path, BODY_FORMAT, body_read, b) : HG_MEMORY;
     if (status == HG_OK)
         *body = b;
     else
@@ -205,11 +200,10 @@ hg_status hg_body_load(hg_body **body, const char *path)
     return status;
 }
 
-static hg_status body_write(hg_h5 *file, const hg_body *b)
+static hg_status body_write(hg_h5 *file, const void *from)
 {
+    const hg_body *b = from;
     int64_t n = b->vertices, j = b->joints;
-    HG_TRY(scene_format_write(file, BODY_FORMAT));
-    HG_TRY(scene_axes_write(file));
     HG_TRY(hg_h5_write(file, "/points", HG_F32, 2, (int64_t[]){ n, 3 }, b->points));
     HG_TRY(hg_h5_write(file, "/triangles", HG_I32, 2, (int64_t[]){ b->faces, 3 }, b->triangles));
     if (b->uv) HG_TRY(hg_h5_write(file, "/uv", HG_F32, 2, (int64_t[]){ n, 2 }, b->uv));
@@ -230,11 +224,6 @@ static hg_status body_write(hg_h5 *file, const hg_body *b)
 
 hg_status hg_body_save(const hg_body *body, const char *path)
 {
-    hg_h5 *file;
     HG_TRY(body_check(body, path));
-    HG_TRY(hg_h5_create(&file, path));
-    hg_status status = body_write(file, body);
-    if (status == HG_OK) return hg_h5_commit(file);
-    hg_h5_close(file);
-    return status;
+    return scene_file_save(path, BODY_FORMAT, body_write, body);
 }

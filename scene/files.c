@@ -5,6 +5,8 @@
 #include <stdio.h>
 #include <string.h>
 
+enum { VERSION = 1 };
+
 hg_status scene_check_finite(const char *path, const char *what, const float *data, int64_t rows, int64_t columns)
 {
     for (int64_t i = 0; i < rows * columns; i++)
@@ -46,12 +48,6 @@ hg_status scene_axes_read(hg_h5 *file, const char *path, scene_axes *axes)
     return status;
 }
 
-hg_status scene_axes_write(hg_h5 *file)
-{
-    HG_TRY(hg_h5_set_text(file, "/", "unit", "m"));
-    return hg_h5_set_text(file, "/", "up_axis", "+Y");
-}
-
 /* +Z up, facing -Y, becomes +Y up, facing +Z: (x, z, -y). */
 void scene_axes_points(const scene_axes *axes, float *points, int64_t count)
 {
@@ -72,22 +68,55 @@ void scene_axes_turn(const scene_axes *axes, float *quaternions, int64_t count)
     }
 }
 
-hg_status scene_format_check(hg_h5 *file, const char *path, const char *expected)
+/* A sentence says what the file is instead, when it is not of this format. */
+static hg_status check_format(hg_h5 *file, const char *path, const char *expected)
 {
     char *format;
+    double version;
     if (hg_h5_get_text(file, "/", "format", &format) != HG_OK)
         return hg_fail(HG_FORMAT, "%s: not a %s: it has no attribute `format` (docs/formats.md has the layout)", path,
                        expected);
     bool same = strcmp(format, expected) == 0;
     if (!same) hg_fail(HG_FORMAT, "%s: it is a %.64s, expected a %s", path, format, expected);
     hg_free(format);
-    return same ? HG_OK : HG_FORMAT;
+    if (!same) return HG_FORMAT;
+    if (hg_h5_get_number(file, "/", "version", &version) == HG_OK && !(version >= 1 && version < VERSION + 1))
+        return hg_fail(HG_FORMAT, "%s: it has version %g of its format; versions up to %d can be read", path, version,
+                       VERSION);
+    return HG_OK;
 }
 
-hg_status scene_format_write(hg_h5 *file, const char *format)
+hg_status scene_file_load(const char *path, const char *format,
+                          hg_status (*read)(hg_h5 *file, const char *path, const scene_axes *axes, void *to), void *to)
+{
+    hg_h5 *file;
+    scene_axes axes;
+    HG_TRY(hg_h5_open(&file, path));
+    hg_status status = check_format(file, path, format);
+    if (status == HG_OK) status = scene_axes_read(file, path, &axes);
+    if (status == HG_OK) status = read(file, path, &axes, to);
+    hg_h5_close(file);
+    return status;
+}
+
+hg_status scene_head_write(hg_h5 *file, const char *format)
 {
     HG_TRY(hg_h5_set_text(file, "/", "format", format));
-    return hg_h5_set_number(file, "/", "version", 1);
+    HG_TRY(hg_h5_set_number(file, "/", "version", VERSION));
+    HG_TRY(hg_h5_set_text(file, "/", "unit", "m"));
+    return hg_h5_set_text(file, "/", "up_axis", "+Y");
+}
+
+hg_status scene_file_save(const char *path, const char *format, hg_status (*write)(hg_h5 *file, const void *from),
+                          const void *from)
+{
+    hg_h5 *file;
+    HG_TRY(hg_h5_create(&file, path));
+    hg_status status = scene_head_write(file, format);
+    if (status == HG_OK) status = write(file, from);
+    if (status == HG_OK) return hg_h5_commit(file);
+    hg_h5_close(file);
+    return status;
 }
 
 hg_status scene_hash_write(hg_h5 *file, const char *name, uint64_t hash)

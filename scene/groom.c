@@ -85,13 +85,11 @@ static hg_status groom_check(const hg_groom *g, const char *path)
     return HG_OK;
 }
 
-static hg_status groom_read(hg_h5 *file, const char *path, hg_groom *g)
+static hg_status groom_read(hg_h5 *file, const char *path, const scene_axes *axes, void *to)
 {
+    hg_groom *g = to;
     int64_t shape[6];
-    scene_axes axes;
     char *hash;
-    HG_TRY(scene_format_check(file, path, GROOM_FORMAT));
-    HG_TRY(scene_axes_read(file, path, &axes));
     HG_TRY(hg_h5_read(file, "/strands", HG_F32, 3, (int64_t[]){ -1, -1, 3 }, shape, (void **)&g->points));
     g->strands = shape[0], g->vertices = shape[1];
     if (g->strands < 1 || g->strands > INT32_MAX || g->vertices < 2 || g->vertices > 65536)
@@ -108,18 +106,15 @@ static hg_status groom_read(hg_h5 *file, const char *path, hg_groom *g)
     bool whole = *hash && !*end;
     hg_free(hash);
     if (!whole) return hg_fail(HG_FORMAT, "%s: attribute body_hash is not a hexadecimal number", path);
-    scene_axes_points(&axes, g->points, g->strands * g->vertices);
+    scene_axes_points(axes, g->points, g->strands * g->vertices);
     return groom_check(g, path);
 }
 
 hg_status hg_groom_load(hg_groom **groom, const char *path)
 {
-    hg_h5 *file;
     *groom = NULL;
-    HG_TRY(hg_h5_open(&file, path));
     hg_groom *g = hg_alloc(1, sizeof *g);
-    hg_status status = g ? groom_read(file, path, g) : HG_MEMORY;
-    hg_h5_close(file);
+    hg_status status = g ? scene_file_load(path, GROOM_FORMAT, groom_read, g) : HG_MEMORY;
     if (status == HG_OK)
         *groom = g;
     else
@@ -127,10 +122,9 @@ hg_status hg_groom_load(hg_groom **groom, const char *path)
     return status;
 }
 
-static hg_status groom_write(hg_h5 *file, const hg_groom *g)
+static hg_status groom_write(hg_h5 *file, const void *from)
 {
-    HG_TRY(scene_format_write(file, GROOM_FORMAT));
-    HG_TRY(scene_axes_write(file));
+    const hg_groom *g = from;
     HG_TRY(hg_h5_set_text(file, "/", "name", g->name ? g->name : ""));
     HG_TRY(scene_hash_write(file, "body_hash", g->body_hash));
     HG_TRY(hg_h5_write(file, "/strands", HG_F32, 3, (int64_t[]){ g->strands, g->vertices, 3 }, g->points));
@@ -141,12 +135,7 @@ static hg_status groom_write(hg_h5 *file, const hg_groom *g)
 
 hg_status hg_groom_save(const hg_groom *groom, const char *path)
 {
-    hg_h5 *file;
     if (groom->strands < 1) return hg_fail(HG_INVALID, "%s: a groom without strands cannot be saved", path);
     HG_TRY(groom_check(groom, path));
-    HG_TRY(hg_h5_create(&file, path));
-    hg_status status = groom_write(file, groom);
-    if (status == HG_OK) return hg_h5_commit(file);
-    hg_h5_close(file);
-    return status;
+    return scene_file_save(path, GROOM_FORMAT, groom_write, groom);
 }

@@ -20,15 +20,18 @@ typedef struct {
     bool z_up;
 } scene_axes;
 hg_status scene_axes_read(hg_h5 *file, const char *path, scene_axes *axes);
-hg_status scene_axes_write(hg_h5 *file);
 void scene_axes_points(const scene_axes *axes, float *points,
                        int64_t count); /* positions and offsets, to metres, +Y up */
 void scene_axes_turn(const scene_axes *axes, float *quaternions,
                      int64_t count); /* rotations given about the file's axes */
 
-/* The attribute `format` must be `expected`: a sentence says what the file is instead. */
-hg_status scene_format_check(hg_h5 *file, const char *path, const char *expected);
-hg_status scene_format_write(hg_h5 *file, const char *format);
+/* A file of ours: `format`, version, unit and axes are looked at, then `read` fills `to`. */
+hg_status scene_file_load(const char *path, const char *format,
+                          hg_status (*read)(hg_h5 *file, const char *path, const scene_axes *axes, void *to), void *to);
+/* The other way; the file appears when all of it was written. */
+hg_status scene_file_save(const char *path, const char *format, hg_status (*write)(hg_h5 *file, const void *from),
+                          const void *from);
+hg_status scene_head_write(hg_h5 *file, const char *format); /* format, version, unit and axes */
 
 hg_status scene_hash_write(hg_h5 *file, const char *name, uint64_t hash); /* as hexadecimal text */
 

@@ -113,13 +113,11 @@ static hg_status motion_check(const hg_motion *m, const char *path)
     return HG_OK;
 }
 
-static hg_status motion_read(hg_h5 *file, const char *path, hg_motion *m)
+static hg_status motion_read(hg_h5 *file, const char *path, const scene_axes *axes, void *to)
 {
+    hg_motion *m = to;
     int64_t shape[6];
     int names = 0;
-    scene_axes axes;
-    HG_TRY(scene_format_check(file, path, MOTION_FORMAT));
-    HG_TRY(scene_axes_read(file, path, &axes));
     HG_TRY(hg_h5_get_number(file, "/", "rate", &m->rate));
     if (!(m->rate > 0 && m->rate <= 1e5))
         return hg_fail(HG_FORMAT, "%s: attribute rate is %g, expected frames per second", path, m->rate);
@@ -131,19 +129,16 @@ static hg_status motion_read(hg_h5 *file, const char *path, hg_motion *m)
         return hg_fail(HG_FORMAT, "%s: %lld frames of %d joints are no motion", path, (long long)m->frames, names);
     HG_TRY(hg_h5_read(file, "/translation", HG_F32, 2, (int64_t[]){ m->frames, 3 }, NULL, (void **)&m->translation));
     HG_TRY(scene_text_or(file, "name", "", &m->name));
-    scene_axes_points(&axes, m->translation, m->frames);
-    scene_axes_turn(&axes, m->rotation, m->frames * m->joints);
+    scene_axes_points(axes, m->translation, m->frames);
+    scene_axes_turn(axes, m->rotation, m->frames * m->joints);
     return motion_check(m, path);
 }
 
 hg_status hg_motion_load(hg_motion **motion, const char *path, const hg_body *body)
 {
-    hg_h5 *file;
     *motion = NULL;
-    HG_TRY(hg_h5_open(&file, path));
     hg_motion *m = hg_alloc(1, sizeof *m);
-    hg_status status = m ? motion_read(file, path, m) : HG_MEMORY;
-    hg_h5_close(file);
+    hg_status status = m ? scene_file_load(path, MOTION_FORMAT, motion_read, m) : HG_MEMORY;
     if (status == HG_OK && body) status = motion_match(m, path, body);
     if (status == HG_OK)
         *motion = m;
@@ -152,10 +147,9 @@ hg_status hg_motion_load(hg_motion **motion, const char *path, const hg_body *bo
     return status;
 }
 
-static hg_status motion_write(hg_h5 *file, const hg_motion *m)
+static hg_status motion_write(hg_h5 *file, const void *from)
 {
-    HG_TRY(scene_format_write(file, MOTION_FORMAT));
-    HG_TRY(scene_axes_write(file));
+    const hg_motion *m = from;
     HG_TRY(hg_h5_set_number(file, "/", "rate", m->rate));
     HG_TRY(hg_h5_set_text(file, "/", "name", m->name ? m->name : ""));
     HG_TRY(hg_h5_write_texts(file, "/joint_name", (int)m->joints, (const char *const *)m->joint_name));
@@ -165,13 +159,8 @@ static hg_status motion_write(hg_h5 *file, const hg_motion *m)
 
 hg_status hg_motion_save(const hg_motion *motion, const char *path)
 {
-    hg_h5 *file;
     HG_TRY(motion_check(motion, path));
-    HG_TRY(hg_h5_create(&file, path));
-    hg_status status = motion_write(file, motion);
-    if (status == HG_OK) return hg_h5_commit(file);
-    hg_h5_close(file);
-    return status;
+    return scene_file_save(path, MOTION_FORMAT, motion_write, motion);
 }
 
 /* ---- frame rates -------------------------------------------------------------------------------------------- */

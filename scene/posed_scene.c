@@ -41,8 +41,7 @@ static hg_status write_head(hg_h5 *file, const hg_posed_scene *scene, int64_t fr
     static const double neutral[HG_SHAPES];
     const hg_body *body = scene->body;
     int64_t n = body->vertices, j = body->joints;
-    HG_TRY(scene_format_write(file, POSED_FORMAT));
-    HG_TRY(scene_axes_write(file));
+    HG_TRY(scene_head_write(file, POSED_FORMAT));
     HG_TRY(hg_h5_set_number(file, "/", "rate", scene->motion->rate));
     HG_TRY(hg_h5_set_number(file, "/", "first_frame", (double)scene->first));
     HG_TRY(hg_h5_set_text(file, "/", "motion", scene->motion->name ? scene->motion->name : ""));

@@ -22,7 +22,8 @@ static const char *in(const char *folder, const char *name)
 }
 
 /* A groom as it should be, but for one thing. */
-static void groom(const char *folder, const char *name, int64_t strands, int64_t faces, float first, const char *format)
+static void groom(const char *folder, const char *name, int64_t strands, int64_t faces, float first, const char *format,
+                  int64_t version)
 {
     float points[4 * 3 * 3], bary[4 * 3], uv[4 * 2];
     int32_t face[4] = { 0, 0, 0, 0 };
@@ -33,7 +34,7 @@ static void groom(const char *folder, const char *name, int64_t strands, int64_t
     hg_h5 *file;
     DO(hg_h5_create(&file, in(folder, name)));
     DO(hg_h5_set_text(file, "", "format", format));
-    DO(hg_h5_set_integers(file, "", "version", 1, (int64_t[]){ 1 }));
+    DO(hg_h5_set_integers(file, "", "version", 1, &version));
     DO(hg_h5_set_text(file, "", "unit", "m"));
     DO(hg_h5_set_text(file, "", "up_axis", "+Y"));
     DO(hg_h5_set_text(file, "", "name", "bad"));
@@ -49,10 +50,11 @@ int main(int count, char **words)
 {
     if (count < 2) return 2;
     const char *folder = words[1];
-    groom(folder, "nan_groom.h5", 4, 4, (float)NAN, "hairgrad groom");
-    groom(folder, "lying_groom.h5", 4, 3, 0.0f, "hairgrad groom");
-    groom(folder, "no_strands.h5", 0, 0, 0.0f, "hairgrad groom");
-    groom(folder, "other_kind.h5", 4, 4, 0.0f, "hairgrad motion");
+    groom(folder, "nan_groom.h5", 4, 4, (float)NAN, "hairgrad groom", 1);
+    groom(folder, "lying_groom.h5", 4, 3, 0.0f, "hairgrad groom", 1);
+    groom(folder, "no_strands.h5", 0, 0, 0.0f, "hairgrad groom", 1);
+    groom(folder, "other_kind.h5", 4, 4, 0.0f, "hairgrad motion", 1);
+    groom(folder, "new_version.h5", 4, 4, 0.0f, "hairgrad groom", 2);
 
     hg_body *body;
     DO(hg_bust_create(&body));

@@ -122,6 +122,7 @@ pose "groom that is no .h5" 'nonsense.h5: is not an HDF5 file' keep/bust.h5 bad/
 pose "groom of NaN" 'nan_groom.h5: ' keep/bust.h5 bad/nan_groom.h5 keep/motion.h5
 pose "groom that lies" 'lying_groom.h5: .*root_face' keep/bust.h5 bad/lying_groom.h5 keep/motion.h5
 pose "groom without strands" 'no_strands.h5: ' keep/bust.h5 bad/no_strands.h5 keep/motion.h5
+pose "groom of a later version" 'new_version.h5: it has version 2 of its format; versions up to 1 can be read' keep/bust.h5 bad/new_version.h5 keep/motion.h5
 pose "motion in place of a groom" 'other_kind.h5: ' keep/bust.h5 bad/other_kind.h5 keep/motion.h5
 pose "motion of other joints" 'other_joints.h5: .*(Tail|joint)' keep/bust.h5 keep/groom.h5 bad/other_joints.h5
 refused "body without a scalp" 'scalp' "$program" make groom --body bad/no_scalp.h5 -o keep/groom.h5
