@@ -141,7 +141,7 @@ typedef struct hg_physics hg_physics;
 hg_status  hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n, const hg_groom_data *data);
 void       hg_physics_destroy(hg_physics *physics);
 hg_status  hg_physics_backend(hg_physics *physics, hg_backend backend);            /* COMPILED: built in, from the cache, or by the C compiler now; fails, and says why, where none of them is possible. AUTO: the same for a groom that is large enough to win the second back, else interpreted */
-const char *hg_physics_backend_name(const hg_physics *physics);                    /* "compiled avx512", "compiled avx512 by gcc 12.2.0" or "interpreter", for the log */
+const char *hg_physics_backend_name(const hg_physics *physics);                    /* "compiled avx512", "compiled avx512 by gcc 12.2.0" or "interpreter", for the log; of the last call */
 const char *hg_physics_backend_note(const hg_physics *physics);                    /* how long it took to compile, or why it could not be; "" when there is nothing to say */
 /* One scalar; unweighted [n terms] f64 read-outs (may be NULL). Value and gradient are made in one pass. Differentiable in x,
  * root_rotation, root_position, posed, predicted, previous and every tensor of frame->inputs: a gradient is made for those that

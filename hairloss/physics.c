@@ -37,6 +37,7 @@ struct hg_physics {
     hg_physics_asks asks;
     strand_variant strands[VARIANTS];
     int64_t calls;
+    int last;              /* strand pass of the last call */
     hg_term *window_terms; /* by name, so that the order in a config does not matter */
     int32_t *window_column;
     char *window_names; /* "stretch + bend_twist", for a profile */
@@ -272,12 +273,14 @@ hg_status hg_physics_backend(hg_physics *physics, hg_backend backend)
 
 const char *hg_physics_backend_name(const hg_physics *physics)
 {
-    return physics->strands[0].pass ? hg_strand_pass_backend_name(physics->strands[0].pass) : "interpreter";
+    const hg_strand_pass *pass = physics->strands[physics->last].pass;
+    return pass ? hg_strand_pass_backend_name(pass) : "interpreter";
 }
 
 const char *hg_physics_backend_note(const hg_physics *physics)
 {
-    return physics->strands[0].pass ? hg_strand_pass_backend_note(physics->strands[0].pass) : "";
+    const hg_strand_pass *pass = physics->strands[physics->last].pass;
+    return pass ? hg_strand_pass_backend_note(pass) : "";
 }
 
 /* ---- a frame ------------------------------------------------------------------------------------------------ */
@@ -383,6 +386,7 @@ static hg_status find_strands(hg_physics *p, const hg_physics_resolver *resolver
         strand_variant *made = &p->strands[i];
         if (made->pass && hg_physics_same_variant(&made->variant, &wanted)) {
             made->used = p->calls;
+            p->last = i;
             *pass = made->pass;
             return HG_OK;
         }
@@ -393,6 +397,7 @@ static hg_status find_strands(hg_physics *p, const hg_physics_resolver *resolver
     *room = (strand_variant){ .variant = wanted, .used = p->calls };
     HG_TRY(hg_strand_pass_create(&room->pass, p->ctx, p->dtype, p->n_window, p->window_terms, p->window_column,
                                  &p->data, &room->variant, true));
+    p->last = oldest;
     *pass = room->pass;
     if (p->backend == HG_BACKEND_AUTO) return HG_OK;
     return hg_strand_pass_backend(room->pass, p->ctx, p->backend, NULL);

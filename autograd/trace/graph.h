@@ -59,7 +59,7 @@ typedef struct {
 } hg_graph_carry;
 
 #define HG_GRAPH_ATTRIBUTES 16
-#define HG_GRAPH_CARRIES    8
+#define HG_GRAPH_CARRIES    16
 typedef struct {
     hg_node *nodes;
     int n, capacity;
