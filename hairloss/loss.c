@@ -147,9 +147,10 @@ static void summarise(hg_loss_result *result, const char *name, const loss_array
     snprintf(g->shape + used, sizeof g->shape - used, "]");
     for (int64_t i = 0; i < a->count; i++) {
         g->norm += values[i] * values[i];
-        if (!(fabs(values[i]) <= g->largest)) g->largest = fabs(values[i]);
+        if (fabs(values[i]) > g->largest) g->largest = fabs(values[i]);
     }
-    g->norm = sqrt(g->norm);
+    if (isnan(g->norm)) g->largest = (double)NAN;
+    g->norm = isnan(g->norm) ? (double)NAN : sqrt(g->norm); /* printed without a sign */
 }
 
 static hg_status write(loss *l, const char *path, const wishes *w, hg_loss_result *result)
@@ -218,8 +219,8 @@ static hg_status run(loss *l, const char *out, const hg_loss_options *options, h
         result->vertices = l->data.vertices;
         for (int t = 0; t < l->n_terms; t++) {
             result->term[t].name = l->term[t].energy->name;
-            result->term[t].energy = unweighted[t];
-            result->energy += unweighted[t];
+            result->term[t].energy = isnan(unweighted[t]) ? (double)NAN : unweighted[t];
+            result->energy += result->term[t].energy;
         }
         status = write(l, out, &w, result);
     }
