@@ -75,7 +75,8 @@ static hg_status read_wishes(loss *l, wishes *w, const char *wrt)
     *w = (wishes){ 0 };
     if (l->has_x) HG_TRY(wish(l, w, "x"));
     if (!wrt || !*wrt) {
-        for (int i = 0; !l->has_x && i < l->reads.n_frame; i++) HG_TRY(wish(l, w, l->reads.frame[i]));
+        for (int i = 0; !l->has_x && i < l->reads.n_frame; i++)
+            if (loss_find(l, l->reads.frame[i])) HG_TRY(wish(l, w, l->reads.frame[i]));
         if (!l->has_x && loss_find(l, "q")) HG_TRY(wish(l, w, "q"));
         return HG_OK;
     }
