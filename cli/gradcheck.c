@@ -9,7 +9,7 @@ enum { most = 512, most_words = 16 };
 typedef struct {
     hg_ctx *ctx;
     double tolerance;
-    bool verbose, named;                               /* named: the energy was asked for by name */
+    bool verbose;
     const char *wrt[most_words], *set[most_words];     /* "posed"; "strain=smooth" */
     bool wrt_known[most_words], set_known[most_words]; /* some energy has it */
     int n_wrt, n_set;
@@ -68,18 +68,6 @@ static void check_op(const hg_op *op, tally *count)
 
 /* ---- energies -------------------------------------------------------------------------------------------------- */
 
-/* Cuts choice number `which` out of "published|smooth". */
-static bool cut_choice(const char *choices, int which, char *out, size_t room)
-{
-    for (; which > 0 && choices != NULL; which--) {
-        choices = strchr(choices, '|');
-        if (choices != NULL) choices++;
-    }
-    if (choices == NULL) return false;
-    snprintf(out, room, "%.*s", (int)strcspn(choices, "|"), choices);
-    return true;
-}
-
 /* Does --set leave this choice? */
 static bool is_left(tally *count, const char *option, const char *choice)
 {
@@ -119,17 +107,14 @@ static void check_choice(const hg_energy *energy, const char *const *chosen, tal
 }
 
 /* Every combination of an energy's options that --set leaves. */
-static void check_energy(const hg_energy *energy, int option, const char **chosen, tally *count)
+static void check_energy(const hg_energy *energy, tally *count)
 {
-    if (option == HG_ENERGY_OPTIONS || energy->options[option].name == NULL) {
-        check_choice(energy, chosen, count);
-        return;
-    }
-    char choice[64];
-    for (int i = 0; cut_choice(energy->options[option].choices, i, choice, sizeof choice); i++) {
-        if (!is_left(count, energy->options[option].name, choice)) continue;
-        chosen[option] = choice;
-        check_energy(energy, option + 1, chosen, count);
+    hg_energy_choice choice;
+    for (int number = 0; hg_energy_choose(energy, number, &choice); number++) {
+        bool left = true;
+        for (int i = 0; i < HG_ENERGY_OPTIONS && energy->options[i].name != NULL; i++)
+            left &= is_left(count, energy->options[i].name, choice.options[i]);
+        if (left) check_choice(energy, choice.options, count);
     }
 }
 
@@ -211,11 +196,10 @@ static int gradcheck(const hg_arguments *arguments)
     for (int i = energies_only ? ops : 0; i < all; i++) {
         bool wanted = arguments->n_free == 0;
         for (int j = 0; j < arguments->n_free; j++) wanted |= strcmp(arguments->free[j], names[i]) == 0;
-        const char *chosen[HG_ENERGY_OPTIONS + 1] = { NULL };
         if (wanted && i < ops)
             check_op(hg_find("op", names[i]), &count);
         else if (wanted)
-            check_energy(hg_find("energy", names[i]), 0, chosen, &count);
+            check_energy(hg_find("energy", names[i]), &count);
         fflush(stdout);
     }
     hg_ctx_destroy(count.ctx);

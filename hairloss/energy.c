@@ -2,6 +2,7 @@
 #include "hairloss/physics.h"
 
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 const hg_energy *hg_energy_find(const char *name)
@@ -55,6 +56,21 @@ hg_status hg_term_complete(const hg_term *term, double params[HG_ENERGY_PARAMS],
                            options[i], option->choices);
     }
     return HG_OK;
+}
+
+bool hg_energy_choose(const hg_energy *energy, int number, hg_energy_choice *choice)
+{
+    *choice = (hg_energy_choice){ { NULL }, { "" } };
+    for (int i = 0; i < count_options(energy); i++) {
+        const char *word = energy->options[i].choices;
+        int n = 1;
+        for (const char *at = word; *at; at++) n += *at == '|';
+        for (int skip = number % n; skip > 0; skip--) word = strchr(word, '|') + 1;
+        number /= n;
+        snprintf(choice->words[i], sizeof choice->words[i], "%.*s", (int)strcspn(word, "|"), word);
+        choice->options[i] = choice->words[i];
+    }
+    return number == 0;
 }
 
 void hg_term_scope(hg_trace_scope *scope, const hg_term *term, int number, uint32_t allowed)

@@ -10,19 +10,19 @@
 static const struct {
     uint32_t kinds;
     const char *name, *shape;
-    bool differentiable;
+    bool differentiable, optional;
 } inputs_by_kind[] = {
-    { ANY(X, ROOT_X) | ANY(DISTANCE, FIELD), "x", "[B,S,V,3]", true },
-    { ANY(REST, ROOT_REST) | ANY(REST_DISTANCE, FIELD_REST), "rest", "[G,S,V,3]", true },
-    { ANY(POSED, POSED), "posed", "[B,S,V,3]", true },
-    { ANY(ROOT_ROTATION, ROOT_ROTATION), "root_rotation", "[B,S,4]", true },
-    { ANY(ROOT_POSITION, ROOT_POSITION), "root_position", "[B,S,3]", true },
-    { ANY(PREDICTED, PREDICTED), "predicted", "[B,S,V,3]", true },
-    { ANY(PREVIOUS, PREVIOUS), "previous", "[B,S,V,3]", true },
-    { ANY(Q, Q), "q", "[B,S,V-1,4]", true },
-    { ANY(MASS, MASS), "mass", "[G,S,V]", true },
-    { ANY(CONTACT_POINT, CONTACT_NORMAL), "body_vertices", "[B,N,3]", false },
-    { ANY(DT, DT), "dt", "[]", true },
+    { ANY(X, ROOT_X) | ANY(DISTANCE, FIELD), "x", "[B,S,V,3]", true, false },
+    { ANY(REST, ROOT_REST) | ANY(REST_DISTANCE, FIELD_REST), "rest", "[G,S,V,3]", true, false },
+    { ANY(POSED, POSED), "posed", "[B,S,V,3]", true, true },
+    { ANY(ROOT_ROTATION, ROOT_ROTATION), "root_rotation", "[B,S,4]", true, true },
+    { ANY(ROOT_POSITION, ROOT_POSITION), "root_position", "[B,S,3]", true, true },
+    { ANY(PREDICTED, PREDICTED), "predicted", "[B,S,V,3]", true, false },
+    { ANY(PREVIOUS, PREVIOUS), "previous", "[B,S,V,3]", true, false },
+    { ANY(Q, Q), "q", "[B,S,V-1,4]", true, false },
+    { ANY(MASS, MASS), "mass", "[G,S,V]", true, true },
+    { ANY(CONTACT_POINT, CONTACT_NORMAL), "body_vertices", "[B,N,3]", false, false },
+    { ANY(DT, DT), "dt", "[]", true, false },
 };
 
 static void add(hg_energy_inputs *to, const char *name, const char *shape, bool differentiable, bool optional)
@@ -88,7 +88,8 @@ hg_status hg_energy_asks(const hg_energy *energy, const char *const *options, bo
     to->scan = (kinds & (HG_ALLOW(HG_INPUT_CARRY) | HG_ALLOW(HG_INPUT_REST_CARRY))) != 0;
     for (size_t k = 0; k < sizeof inputs_by_kind / sizeof *inputs_by_kind; k++)
         if (kinds & inputs_by_kind[k].kinds)
-            add(to, inputs_by_kind[k].name, inputs_by_kind[k].shape, inputs_by_kind[k].differentiable, false);
+            add(to, inputs_by_kind[k].name, inputs_by_kind[k].shape, inputs_by_kind[k].differentiable,
+                inputs_by_kind[k].optional);
     for (int f = 0; f < 3; f++) {
         for (int i = 0; i < names[f].n_attributes; i++)
             add(to, names[f].attributes[i], "[G,S,V]", true, made(names[f].attributes[i]));

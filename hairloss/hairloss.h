@@ -60,6 +60,10 @@ typedef struct {
 
 const hg_energy *hg_energy_find(const char *name);               /* NULL and hg_message() with the nearest name */
 
+/* Every combination of an energy's options, from number 0 up to the first false. An energy without options has one. */
+typedef struct { const char *options[HG_ENERGY_OPTIONS]; char words[HG_ENERGY_OPTIONS][64]; } hg_energy_choice;
+bool hg_energy_choose(const hg_energy *energy, int number, hg_energy_choice *choice);
+
 /* What an energy asks for with these options (as in hg_term; NULL: the defaults), found by tracing its formulas. posed_given:
  * the frame brings the posed groom; otherwise it is made of rest, root_rotation and root_position, and those are listed. */
 #define HG_ENERGY_INPUTS 24

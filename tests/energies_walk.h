@@ -15,7 +15,6 @@ enum { MAX_INPUTS = 16, MAX_ENERGIES = 64, WITH_STYLE = 7 /* of the usual sums: 
 
 typedef struct {
     hg_term term;
-    const char *options[HG_ENERGY_OPTIONS];
     char label[160];
 } variant;
 
@@ -28,26 +27,14 @@ static inline void each_variant(void (*what)(const variant *v, void *self), void
     for (int i = 0; i < n; i++) {
         const hg_energy *energy = hg_energy_find(names[i]);
         assert_non_null(energy);
-        int combinations = 1, radix[HG_ENERGY_OPTIONS] = { 0 };
-        for (int k = 0; k < HG_ENERGY_OPTIONS && energy->options[k].name; k++) {
-            radix[k] = 1;
-            for (const char *c = energy->options[k].choices; *c; c++) radix[k] += *c == '|';
-            combinations *= radix[k];
-        }
-        for (int code = 0; code < combinations; code++) {
-            variant v = { .term = { energy, 1.7, NULL, NULL } };
-            char choices[HG_ENERGY_OPTIONS][32];
-            int rest = code, length = snprintf(v.label, sizeof v.label, "%s", names[i]);
-            for (int k = 0; k < HG_ENERGY_OPTIONS && radix[k]; k++) {
-                const char *at = energy->options[k].choices;
-                for (int c = rest % radix[k]; c > 0; c--) at = strchr(at, '|') + 1;
-                rest /= radix[k];
-                snprintf(choices[k], sizeof choices[k], "%.*s", (int)strcspn(at, "|"), at);
-                v.options[k] = choices[k];
+        variant v;
+        hg_energy_choice choice;
+        for (int code = 0; hg_energy_choose(energy, code, &choice); code++) {
+            int length = snprintf(v.label, sizeof v.label, "%s", names[i]);
+            for (int k = 0; k < HG_ENERGY_OPTIONS && energy->options[k].name; k++)
                 length += snprintf(v.label + length, sizeof v.label - (size_t)length, " %s=%s", energy->options[k].name,
-                                   choices[k]);
-            }
-            v.term.options = v.options;
+                                   choice.options[k]);
+            v.term = (hg_term){ energy, 1.7, NULL, choice.options };
             what(&v, self);
         }
     }

@@ -110,31 +110,21 @@ static void close_reference(reference *r)
 typedef struct {
     char label[256];
     double params[HG_ENERGY_PARAMS];
-    const char *options[HG_ENERGY_OPTIONS];
-    char words[HG_ENERGY_OPTIONS][32];
+    hg_energy_choice choice;
     hg_term term;
 } variant;
 
 /* The choice number `number` of all combinations of options; false when there are no more. */
 static bool make_variant(const hg_energy *energy, int number, variant *v)
 {
-    *v = (variant){ .term = { .energy = energy, .weight = 1.0, .params = v->params, .options = v->options } };
+    *v = (variant){ .term = { .energy = energy, .weight = 1.0, .params = v->params, .options = v->choice.options } };
+    const bool there = hg_energy_choose(energy, number, &v->choice);
     int length = snprintf(v->label, sizeof v->label, "%s", energy->name);
-    for (int o = 0; o < HG_ENERGY_OPTIONS && energy->options[o].name; o++) {
-        int choices = 1;
-        for (const char *c = energy->options[o].choices; *c; c++) choices += *c == '|';
-        const char *word = energy->options[o].choices;
-        for (int skip = number % choices; skip > 0; skip--) word = strchr(word, '|') + 1;
-        number /= choices;
-        char chosen[32];
-        snprintf(chosen, sizeof chosen, "%.*s", (int)strcspn(word, "|"), word);
-        memcpy(v->words[o], chosen, sizeof chosen);
-        v->options[o] = v->words[o];
-        length +=
-            snprintf(v->label + length, sizeof v->label - (size_t)length, ",%s=%s", energy->options[o].name, chosen);
-    }
+    for (int o = 0; o < HG_ENERGY_OPTIONS && energy->options[o].name; o++)
+        length += snprintf(v->label + length, sizeof v->label - (size_t)length, ",%s=%s", energy->options[o].name,
+                           v->choice.options[o]);
     for (int p = 0; p < HG_ENERGY_PARAMS && energy->params[p].name; p++) v->params[p] = energy->params[p].value;
-    return number == 0;
+    return there;
 }
 
 static hg_tensor *tensor(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, const double *from)
@@ -274,7 +264,7 @@ static void check_case(const reference *r, variant *v, const char *label, const 
 {
     outcome want = read_case(r, label, v->term.energy, v->params);
     v->term.params = v->params;
-    v->term.options = v->options;
+    v->term.options = v->choice.options;
     int64_t strands = r->B * r->S, count = strands * r->V * 3;
     for (int backend = HG_BACKEND_AUTO; backend <= HG_BACKEND_INTERPRETER; backend++) {
         outcome got = evaluate(r, HG_F64, 1, (hg_backend)backend, 1, &v->term, positions, label);
@@ -364,7 +354,7 @@ static void check_others(const reference *r, const variant *v)
         static char names[HG_ENERGY_PARAMS][96];
         ok(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), v->label);
         ok(hg_physics_create(&physics, ctx, HG_F64, &v->term, 1, &r->data), v->label);
-        ok(hg_energy_asks(energy, v->options, posed, &asks), v->label);
+        ok(hg_energy_asks(energy, v->choice.options, posed, &asks), v->label);
         hg_frame frame = { .groom = r->groom, .dt = 1.0 / 30.0 };
         frame.root_rotation = tensor(ctx, HG_F64, 3, rotation, r->root_rotation);
         frame.root_position = tensor(ctx, HG_F64, 3, position, r->root_position);
@@ -454,7 +444,7 @@ static void test_weighted_sum(void **state)
         for (int64_t i = 0; i < count; i++) largest = fmax(largest, fabs(want.gradient[i]));
         if (largest > 0) weight /= largest; /* so that every energy has its say */
         for (int64_t i = 0; i < count; i++) sum[i] += weight * want.gradient[i];
-        terms[e] = (hg_term){ variants[e].term.energy, weight, variants[e].params, variants[e].options };
+        terms[e] = (hg_term){ variants[e].term.energy, weight, variants[e].params, variants[e].choice.options };
         case_free(&want);
     }
     for (int64_t i = 0; i < count; i++) scale = fmax(scale, fabs(sum[i]));
@@ -477,7 +467,7 @@ static void test_density_given(void **state)
     make_variant(hg_energy_find("self_collision"), 0, &v);
     outcome want = read_case(&r, v.label, v.term.energy, v.params);
     v.term.params = v.params;
-    v.term.options = v.options;
+    v.term.options = v.choice.options;
     int64_t n = r.G * r.S * r.V;
     double *density = calloc((size_t)n, sizeof *density);
     assert_non_null(density);
@@ -507,7 +497,7 @@ static void test_pairs_given(void **state)
     variant v;
     make_variant(hg_energy_find("adhesion"), 0, &v);
     v.term.params = v.params;
-    v.term.options = v.options;
+    v.term.options = v.choice.options;
     int32_t far = (int32_t)(r.S * r.V - 1);
     hg_pairs *lists[2];
     ok(hg_pairs_from_list(&lists[0], r.S * r.V, 2, (int32_t[]){ 0, far, far, 1 }), "pairs");
