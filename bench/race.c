@@ -105,7 +105,8 @@ bench_peer *bench_peer_start(bench *b, const char *row, int patience)
         close(to[1]);
         close(from[0]);
         setenv("OMP_NUM_THREADS", "2", 1);
-        if (getenv("BENCH_SET_WAIT")) unsetenv("OMP_WAIT_POLICY"); /* ours: its user would not set it */
+        unsetenv("OMP_WAIT_POLICY"); /* ours: its user would not set them */
+        unsetenv("GOMP_SPINCOUNT");
         execlp(b->python, b->python, script, row, b->folder, (char *)NULL);
         _exit(127);
     }

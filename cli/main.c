@@ -147,13 +147,15 @@ static int run_program(int count, char **words)
     return run_command(words[at], count - at - 1, words + at + 1);
 }
 
-/* By default a thread of libgomp that waits for the others spins. On a machine that other programs use too, that made
- * training ten times slower, and asleep it loses nothing that shows. libgomp reads its settings before main, so the
- * program starts itself once more with this one, unless whoever called it has chosen. */
+/* By default a thread of libgomp that waits for the others spins for long. On a machine that other programs use too, that
+ * made training ten times slower; asleep at once, it wakes so late that a second thread is no gain for work of less than
+ * a millisecond. It spins for about a fifth of one, and then sleeps. libgomp reads its settings before main, so the program
+ * starts itself once more with these, unless whoever called it has chosen. */
 static void sleep_while_waiting(char **words)
 {
     if (getenv("OMP_WAIT_POLICY") || getenv("GOMP_SPINCOUNT")) return;
-    if (setenv("OMP_WAIT_POLICY", "passive", 1) == 0) execv("/proc/self/exe", words); /* where it fails, it spins */
+    if (setenv("OMP_WAIT_POLICY", "passive", 1) == 0 && setenv("GOMP_SPINCOUNT", "20000", 1) == 0)
+        execv("/proc/self/exe", words); /* where it fails, it spins */
 }
 
 int main(int count, char **words)
