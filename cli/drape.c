@@ -44,6 +44,7 @@ static hg_status drape_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
     hg_status status = hg_hair_task_open(&task, ctx, arguments->free[0], &progress);
     const char *groom = cli_value(arguments, "groom", NULL);
     if (status == HG_OK && groom) status = hg_hair_choose_groom(task, groom);
+    if (status == HG_OK) status = cli_materials(arguments, task);
     if (status == HG_OK) status = choose_motion(arguments, task, &loaded, &motion);
     int64_t frames = 0, strands = 0;
     if (status == HG_OK) {
@@ -92,6 +93,8 @@ static const hg_argument drape_options[] = {
     { "motion", "FILE", "a motion file (.h5)", false },
     { "clip", "NAME", "a clip of the run (default: the first that is held out)", false },
     { "groom", "NAME", "a groom of the run, another file (.h5) or a style (default: the run's first)", false },
+    { "material", "NAME=VALUE", "of a network that was trained over a range, like \"bend_twist.stiffness=2e-9 N*m^2\"",
+      true },
     { "shape", "NUMBERS", "body shape, like 0.5,0,-1 (default: the neutral body)", false },
     { "first", "N", "first frame (default 0)", false },
     { "frames", "N", "how many (default: all)", false },

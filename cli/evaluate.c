@@ -71,6 +71,7 @@ static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments)
     hg_status status = hg_hair_task_open(&task, ctx, arguments->free[0], &progress);
     const char *groom = cli_value(arguments, "groom", NULL);
     if (status == HG_OK && groom) status = hg_hair_choose_groom(task, groom);
+    if (status == HG_OK) status = cli_materials(arguments, task);
     if (status == HG_OK) status = choose_clips(&all, task, arguments);
     for (int i = 0; status == HG_OK && i < all.n; i++) {
         if (!given) hg_hair_held_out_shape(task, i, shape);
@@ -107,6 +108,8 @@ static const hg_argument evaluate_options[] = {
     { "clip", "NAME", "a clip of the run (repeat for more; default: all that are held out)", true },
     { "frames", "N", "of each clip (default: all)", false },
     { "groom", "NAME", "a groom of the run, another file (.h5) or a style (default: the run's first)", false },
+    { "material", "NAME=VALUE", "of a network that was trained over a range, like \"bend_twist.stiffness=2e-9 N*m^2\"",
+      true },
     { "shape", "NUMBERS", "body shape, like 0.5,0,-1 (default: shapes that training does not draw)", false },
     { "json", "FILE", "write the metrics there too", false },
     CLI_TRAP_OPTION,

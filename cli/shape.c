@@ -92,3 +92,31 @@ const hg_motion *cli_clip(const hg_hair_task *task, const char *name)
     hg_text_free(&known);
     return NULL;
 }
+
+static const char *unit_of(const hg_hair_task *task, const char *name)
+{
+    const char *found, *unit;
+    double range[2], value;
+    for (int i = 0; i < hg_hair_materials(task); i++)
+        if (hg_hair_material_at(task, i, &found, &unit, range, &value) == HG_OK && !strcmp(found, name)) return unit;
+    return NULL;
+}
+
+hg_status cli_materials(const hg_arguments *arguments, hg_hair_task *task)
+{
+    for (int i = 0; i < arguments->n_given; i++) {
+        if (strcmp(arguments->given[i].name, "material")) continue;
+        char *name = hg_strdup(arguments->given[i].value), *text = name ? strchr(name, '=') : NULL;
+        double value = 0;
+        hg_status status = name ? HG_OK : HG_MEMORY;
+        if (name && !text) status = hg_fail(HG_INVALID, "--material %s: expected NAME=VALUE", name);
+        if (text) {
+            *text++ = '\0';
+            status = hg_unit_parse(text, unit_of(task, name), &value);
+            if (status == HG_OK) status = hg_hair_set_material(task, name, value);
+        }
+        hg_free(name);
+        HG_TRY(status);
+    }
+    return HG_OK;
+}

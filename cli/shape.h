@@ -11,4 +11,7 @@ hg_status cli_shape_of(const hg_arguments *arguments, const hg_body *body, doubl
 /* The clip of a run whose name, or the last part of it, is `name`. NULL and a message that lists those there are. */
 const hg_motion *cli_clip(const hg_hair_task *task, const char *name);
 
+/* Every --material NAME=VALUE, set. */
+hg_status cli_materials(const hg_arguments *arguments, hg_hair_task *task);
+
 #endif

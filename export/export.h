@@ -70,6 +70,11 @@ hg_status hg_drape_file_add(void *file, const hg_drape_frame *frame);           
 hg_status hg_drape_file_commit(hg_drape_file *file);                               /* frees; both files appear */
 void      hg_drape_file_discard(hg_drape_file *file);                              /* frees; NULL is fine */
 
+/* A drape read back: what its hair is made of. The task's energies, and frames spread over the file (n_frames 0: eight). The
+ * drape's strands are those of the task's groom; a body that it names is where it says (body NULL), or `body`. */
+typedef struct { hg_material_options material; int n_frames; const char *body; } hg_drape_fit_options;
+hg_status hg_drape_fit_material(hg_hair_task *task, hg_ctx *ctx, const char *path, const hg_drape_fit_options *options, hg_material_fit *fit);
+
 /* ---- pictures ----------------------------------------------------------------------------------------------- */
 
 typedef struct { int width, height; uint8_t *rgb; } hg_image;                      /* 8 bit, sRGB */

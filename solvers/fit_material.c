@@ -384,7 +384,7 @@ static hg_status fit_all(hg_ctx *ctx, fit_state *s, const hg_term *terms, int n_
 hg_status hg_fit_material(hg_ctx *ctx, const hg_term *terms, int n_terms, const hg_groom_data *data,
                           const hg_frame *frame, hg_tensor *x, const hg_material_options *options, hg_material_fit *fit)
 {
-    *fit = (hg_material_fit){ .n = options->n };
+    *fit = (hg_material_fit){ .n = options->n, .n_strands = x && x->rank == 4 ? x->shape[1] : 0 };
     if (options->n < 1 || options->n > HG_FIT_PARAMS)
         return hg_fail(HG_INVALID, "fit: %d parameters; between 1 and %d can be found at once", options->n,
                        HG_FIT_PARAMS);

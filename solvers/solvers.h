@@ -39,7 +39,7 @@ typedef struct {
     int n; hg_fitted param[HG_FIT_PARAMS];
     double unbalanced;                   /* of the known forces, the part that is left: 0 is a perfect balance, 1 none */
     int64_t vertices, left_out;          /* free vertices looked at; those that touch the body, or were left out */
-    double *strands;                     /* [n,S], NAN where a strand says nothing; NULL without per_strand */
+    int64_t n_strands; double *strands;  /* [n,S], NAN where a strand says nothing; NULL without per_strand */
 } hg_material_fit;
 
 /* terms: all the energies that act; weights multiply, and the values of the parameters asked for do not matter. x [B,S,V,3]

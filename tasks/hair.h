@@ -87,6 +87,13 @@ typedef struct {
     hg_physics *physics;
 } hg_hair_subset;
 
+/* What physics is made from, for the strands of a subset, whose lengths and masses it fills. data points into itself. */
+typedef struct {
+    double *rest, *mass, *body, *scalp;
+    hg_groom_attribute attributes[2];
+    hg_groom_data data;
+} hg_hair_numbers;
+
 typedef enum { HG_HAIR_TRAINING = 0, HG_HAIR_EVALUATION = 1 } hg_hair_purpose;
 
 /* ---- materials ---------------------------------------------------------------------------------------------- */
@@ -192,6 +199,8 @@ void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
 void hg_hair_subset_destroy(hg_hair_subset *subset);
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
+hg_status hg_hair_numbers_create(hg_hair_numbers *numbers, hg_hair_subset *subset, const hg_hair_task *task);
+void hg_hair_numbers_destroy(hg_hair_numbers *numbers);
 double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight); /* J; N */
 hg_status hg_hair_evaluation_subset(hg_hair_task *task);                          /* made at the first call */
 

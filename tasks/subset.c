@@ -147,13 +147,16 @@ static void measure(const hg_groom *groom, int64_t strand, double density, doubl
         mass[v] = density * 0.5 * ((v > 0 ? lengths[v - 1] : 0) + (v + 1 < V ? lengths[v] : 0));
 }
 
-static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
+hg_status hg_hair_numbers_create(hg_hair_numbers *numbers, hg_hair_subset *subset, const hg_hair_task *task)
 {
     const int64_t n = subset->grooms * subset->n, V = task->groom->vertices;
-    double *rest = hg_alloc((size_t)(n * V) * 3, sizeof *rest), *mass = hg_alloc((size_t)(n * V), sizeof *mass);
-    double *body = hg_alloc((size_t)(n * V), sizeof *body), *scalp = hg_alloc((size_t)(n * V), sizeof *scalp);
-    hg_status status = rest && mass && body && scalp ? HG_OK : HG_MEMORY;
-    for (int64_t i = 0; status == HG_OK && i < n; i++) {
+    *numbers = (hg_hair_numbers){ 0 };
+    double *rest = numbers->rest = hg_alloc((size_t)(n * V) * 3, sizeof *rest);
+    double *mass = numbers->mass = hg_alloc((size_t)(n * V), sizeof *mass);
+    double *body = numbers->body = hg_alloc((size_t)(n * V), sizeof *body);
+    double *scalp = numbers->scalp = hg_alloc((size_t)(n * V), sizeof *scalp);
+    if (!rest || !mass || !body || !scalp) return HG_MEMORY;
+    for (int64_t i = 0; i < n; i++) {
         const hg_hair_style *style = &task->styles[subset->first + i / subset->n];
         const int64_t s = subset->strand[i];
         measure(style->groom, s, linear_density(task), subset->lengths + i * (V - 1), mass + i * V);
@@ -164,28 +167,40 @@ static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
             scalp[i * V + v] = (double)style->scalp_distance[s * V + v];
         }
     }
-    if (status == HG_OK) {
-        const hg_groom_attribute attributes[] = { { "body_distance", body }, { "scalp_distance", scalp } };
-        const hg_groom_data data = { .grooms = subset->grooms,
+    numbers->attributes[0] = (hg_groom_attribute){ "body_distance", body };
+    numbers->attributes[1] = (hg_groom_attribute){ "scalp_distance", scalp };
+    numbers->data = (hg_groom_data){ .grooms = subset->grooms,
                                      .strands = subset->n,
                                      .vertices = V,
                                      .rest = rest,
                                      .mass = mass,
-                                     .attributes = attributes,
+                                     .attributes = numbers->attributes,
                                      .n_attributes = 2,
                                      .body = task->tree };
-        status = hg_physics_create(&subset->physics, task->ctx, HG_F32, task->terms.term, task->terms.n, &data);
-    }
+    return HG_OK;
+}
+
+void hg_hair_numbers_destroy(hg_hair_numbers *numbers)
+{
+    hg_free(numbers->rest);
+    hg_free(numbers->mass);
+    hg_free(numbers->body);
+    hg_free(numbers->scalp);
+}
+
+static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
+{
+    hg_hair_numbers numbers;
+    hg_status status = hg_hair_numbers_create(&numbers, subset, task);
+    if (status == HG_OK)
+        status = hg_physics_create(&subset->physics, task->ctx, HG_F32, task->terms.term, task->terms.n, &numbers.data);
     if (status == HG_OK) {
         const char *backend = hg_config_text(task->config, "training.backend");
         if (strcmp(backend, "auto"))
             status = hg_physics_backend(subset->physics,
                                         !strcmp(backend, "compiled") ? HG_BACKEND_COMPILED : HG_BACKEND_INTERPRETER);
     }
-    hg_free(rest);
-    hg_free(mass);
-    hg_free(body);
-    hg_free(scalp);
+    hg_hair_numbers_destroy(&numbers);
     return status;
 }
 

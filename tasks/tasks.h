@@ -12,6 +12,7 @@
 
 #include "hairloss/hairloss.h"
 #include "scene/scene.h"
+#include "solvers/solvers.h"
 #include "train/train.h"
 
 #ifdef __cplusplus
@@ -77,6 +78,13 @@ typedef struct { int64_t frame, strands, vertices; const int32_t *strand; const 
 typedef hg_status (*hg_drape_sink)(void *self, const hg_drape_frame *frame);
 hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t first, int64_t frames, int64_t stride,
                         hg_drape_sink sink, void *self, const hg_progress *progress);
+
+/* ---- material of an observed drape --------------------------------------------------------------------------- */
+
+/* Strands of the current groom as they were seen, in the world. before, older: one and two frames earlier, NULL: at rest. */
+typedef struct { const float *x /* [S,V,3] */, *before, *older; const float *body_vertices /* [N,3] */; const float *root_rotation /* [S,4] */, *root_position /* [S,3] */; } hg_observed_frame;
+/* The values of parameters of the config's energies with which these frames are in balance (solvers/solvers.h). */
+hg_status hg_hair_fit_material(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t strands, int n, const hg_observed_frame *frames, const hg_material_options *options, hg_material_fit *fit);
 
 /* ---- metrics ------------------------------------------------------------------------------------------------ */
 

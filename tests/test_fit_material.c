@@ -5,6 +5,7 @@
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <cmocka.h>
@@ -332,12 +333,102 @@ static void refusals(void **state)
     drop_scene(&s);
 }
 
+/* From the recipe and the file of a drape, as `hairgrad fit material` does: positions in f32, hair on a head. */
+static void a_file_of_a_drape(void **state)
+{
+    (void)state;
+    static const char recipe[] =
+        "scene: { style: short, strands: 12, vertices: 9, seconds: 1 s, motion_kinds: [nod] }\n"
+        "features: { latent: 4, encoder_width: 8, encoder_steps: 1, history: 1 }\n"
+        "losses: { stretch: { stiffness: 5 N/m }, bend_twist: {}, gravity: {}, body_collision: { distance: 1 mm } }\n"
+        "training: { strands: 12 }\n";
+    const double made = 2e-8;
+    int n;
+    const hg_config_row *rows = hg_hair_schema(&n);
+    hg_config *config = NULL;
+    hg_hair_task *task = NULL;
+    scene s = { 0 };
+    assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = 1, .seed = 1 }), HG_OK);
+    assert_int_equal(hg_config_parse(&config, recipe, "recipe.yaml", rows, n), HG_OK);
+    if (hg_hair_task_create(&task, s.ctx, config, NULL, NULL) != HG_OK) fail_msg("%s", hg_message());
+    hg_config_destroy(config);
+
+    const hg_groom *groom = hg_hair_groom(task);
+    const int64_t strands = groom->strands;
+    float *x = hg_alloc((size_t)(strands * V * 3), sizeof *x),
+          *rotation = hg_alloc((size_t)strands * 4, sizeof *rotation),
+          *position = hg_alloc((size_t)strands * 3, sizeof *position);
+    for (int64_t i = 0; i < strands; i++) {
+        double numbers[8], rest[V * 3], mass[V] = { 0 }, at[V * 3], left[V * 3];
+        hg_term terms[4];
+        const int n_terms = terms_of(&s, numbers, terms);
+        numbers[1] = made;
+        for (int k = 0; k < V * 3; k++) at[k] = rest[k] = (double)groom->points[i * V * 3 + k];
+        for (int v = 0; v + 1 < V; v++) {
+            double length = 0;
+            for (int c = 0; c < 3; c++) length += pow(rest[3 * v + 3 + c] - rest[3 * v + c], 2);
+            for (int k = 0; k < 2; k++) mass[v + k] += 0.5 * density * sqrt(length);
+        }
+        const hg_groom_data data = { .grooms = 1, .strands = 1, .vertices = V, .rest = rest, .mass = mass };
+        one o = { .s = &s };
+        assert_int_equal(hg_physics_create(&o.physics, s.ctx, HG_F64, terms, n_terms, &data), HG_OK);
+        o.x = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, 1, V, 3 });
+        o.gradient = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, 1, V, 3 });
+        minimise(&o, at);
+        evaluate(&o, at, left);
+        if (!(sqrt(dot(left, left)) < 1e-9)) fail_msg("strand %d: %g N are left", (int)i, sqrt(dot(left, left)));
+        for (int k = 0; k < V * 3; k++) x[i * V * 3 + k] = (float)at[k];
+        rotation[4 * i] = 1;
+        for (int c = 0; c < 3; c++) position[3 * i + c] = (float)rest[c];
+        hg_tensor_destroy(o.x);
+        hg_tensor_destroy(o.gradient);
+        hg_physics_destroy(o.physics);
+    }
+    char folder[] = "/tmp/hairgrad_fit_XXXXXX", path[64], body_path[64], command[96];
+    assert_non_null(mkdtemp(folder));
+    snprintf(path, sizeof path, "%s/drape.vtkhdf", folder);
+    snprintf(body_path, sizeof body_path, "%s/body.vtkhdf", folder);
+    hg_drape_file *file = NULL;
+    const hg_drape_frame frame = { .strands = strands,
+                                   .vertices = V,
+                                   .x = x,
+                                   .posed = x,
+                                   .body_vertices = hg_hair_body(task)->points,
+                                   .root_rotation = rotation,
+                                   .root_position = position };
+    assert_int_equal(hg_drape_file_create(&file, path, body_path, groom, hg_hair_body(task), 1, 30), HG_OK);
+    assert_int_equal(hg_drape_file_add(file, &frame), HG_OK);
+    assert_int_equal(hg_drape_file_commit(file), HG_OK);
+
+    const hg_drape_fit_options options = { .material = { .n = 1, .names = bend_name, .per_strand = true } };
+    hg_material_fit found;
+    if (hg_drape_fit_material(task, s.ctx, path, &options, &found) != HG_OK) fail_msg("%s", hg_message());
+    near(found.param[0].value, made, 0.02);
+    assert_int_equal(found.n_strands, strands);
+    if (!(found.vertices >= 10 && found.unbalanced < 0.05))
+        fail_msg("%d vertices, %d left out, %g left", (int)found.vertices, (int)found.left_out, found.unbalanced);
+    hg_material_fit_free(&found);
+
+    /* Another groom's drape is refused. */
+    assert_int_equal(hg_hair_choose_groom(task, "wavy"), HG_OK);
+    assert_int_equal(hg_drape_fit_material(task, s.ctx, path, &options, &found), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "another groom"));
+    snprintf(command, sizeof command, "rm -r '%s'", folder);
+    assert_int_equal(system(command), 0);
+    hg_free(x);
+    hg_free(rotation);
+    hg_free(position);
+    hg_hair_task_destroy(task);
+    hg_ctx_destroy(s.ctx);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(a_known_stiffness_is_found), cmocka_unit_test(inexact_lengths_do_not_matter),
         cmocka_unit_test(every_strand_has_its_own),   cmocka_unit_test(hair_that_touches_the_body),
         cmocka_unit_test(outliers_count_less),        cmocka_unit_test(refusals),
+        cmocka_unit_test(a_file_of_a_drape),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
