@@ -236,7 +236,6 @@ static void lying_bodies_are_refused(void **state)
     } lies[] = {
         { { "weights", HG_F32, 2, { 8, 24 }, weights }, "negative weight" },
         { { "weights", HG_F32, 2, { 7, 24 }, weights }, "[7,24], expected [8,24]" },
-        { { "weights", HG_F32, 2, { 8, 24 }, shapes }, "" },
         { { "weights", HG_F32, 1, { 8 }, weights }, "expected [N,J]" },
         { { "f", HG_I32, 2, { 12, 3 }, faces }, "f: entry 16 is 8" },
         { { "f", HG_I32, 2, { 0, 3 }, faces }, "no surface" },
