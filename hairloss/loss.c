@@ -82,8 +82,10 @@ static hg_status read_wishes(loss *l, wishes *w, const char *wrt)
     }
     for (const char *at = wrt;; at++) {
         char name[128];
+        at += strspn(at, " ");
         const size_t length = strcspn(at, ",");
         snprintf(name, sizeof name, "%.*s", (int)length, at);
+        for (size_t end = strlen(name); end > 0 && name[end - 1] == ' '; end--) name[end - 1] = 0;
         HG_TRY(wish(l, w, name));
         at += length;
         if (!*at) return HG_OK;

@@ -96,8 +96,10 @@ static hg_status keep_pairs(field_slab *slab, int n_owners, const int32_t *owner
         slab->owner[slab->n_owners + o] = owner[o];
         slab->count[slab->n_owners + o] = first[o + 1] - first[o];
     }
-    memcpy(slab->place + slab->n, place, (size_t)n * sizeof *place);
-    memcpy((char *)slab->value + (size_t)slab->n * size, value, (size_t)n * size);
+    if (n > 0) { /* a slab without pairs has no memory yet */
+        memcpy(slab->place + slab->n, place, (size_t)n * sizeof *place);
+        memcpy((char *)slab->value + (size_t)slab->n * size, value, (size_t)n * size);
+    }
     slab->n_owners += n_owners;
     slab->n += n;
     return HG_OK;
