@@ -8,6 +8,7 @@
 #include "tasks/hair.h"
 
 #include <cjson/cJSON.h>
+#include <signal.h>
 #include <stdlib.h>
 #include <string.h>
 #include <unistd.h>
@@ -181,6 +182,7 @@ int main(int count, char **words)
         else
             usage();
     }
+    signal(SIGPIPE, SIG_IGN); /* the other side may not be there */
     start(&b);
     if (memory) {
         bench_step_memory(&b);

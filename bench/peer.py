@@ -9,11 +9,19 @@ what depends on the rest groom alone computed before the clock starts.
 
 import os
 import resource
+import signal
 import sys
 import time
 
 answers = os.fdopen(os.dup(1), "w", buffering=1)
 os.dup2(2, 1)  # what libraries print goes elsewhere
+
+
+def too_long(*_):
+    raise TimeoutError("not ready in time")
+
+
+signal.signal(signal.SIGALRM, too_long)
 
 
 def say(text):
@@ -146,12 +154,15 @@ def variants(function, leaves, example=None):
     if os.environ.get("BENCH_NO_COMPILE"):
         return found
     try:
+        signal.alarm(75)  # longer is not waited for
         compiled = with_backward(torch.compile(function, dynamic=False), leaves)
         compiled()
         compiled()
         found["compile"] = compiled
-    except Exception as reason:  # no compiler, an old PyTorch
+    except Exception as reason:  # no compiler, an old PyTorch, no time
         print(f"torch.compile: {str(reason)[:200]}", file=sys.stderr)
+    finally:
+        signal.alarm(0)
     return found
 
 

@@ -46,7 +46,7 @@ void bench_race(bench *b, int n_sides, bench_side *sides, int each)
     if (!ms) bench_need(HG_MEMORY);
     const double started = bench_now();
     int done = 0;
-    for (; done < rounds && (done < 3 || bench_now() - started < 15e3); done++)
+    for (; done < rounds && (done < 2 || bench_now() - started < 12e3); done++)
         for (int s = 0; s < n_sides; s++) {
             nanosleep(&(struct timespec){ 0, 20000000 }, NULL); /* the last one's threads come to rest */
             sides[s].times(sides[s].self, ms + s * MOST + done * each, each);
@@ -116,7 +116,9 @@ bench_peer *bench_peer_start(bench *b, const char *row, int patience)
     p->from = from[0];
     if (p->pid < 0 || !p->to || !read_line(p, patience) || strncmp(p->line, "ready ", 6) != 0) {
         snprintf(p->text, sizeof p->text, "%.180s",
-                 strncmp(p->line, "none ", 5) == 0 ? p->line + 5 : "python3 with PyTorch is not installed");
+                 strncmp(p->line, "none ", 5) == 0 ? p->line + 5
+                 : p->line[0]                      ? "the other side gave no sensible answer"
+                              : "the other side (python3 with NumPy and PyTorch) did not get ready");
         return p;
     }
     char *bar = strchr(p->line, '|');
