@@ -121,6 +121,41 @@ static void test_carried(void **state)
     for (int64_t V = 3; V <= 9; V++) check_gradients("input_chain", PER_STRAND, V);
 }
 
+/* Where the root position is not given it is the rest root, also for the gradient of a rest groom that is; and a posed
+ * groom that is given has its own. */
+static void test_posed(void **state)
+{
+    (void)state;
+    for (int given = 0; given < 2; given++) {
+        hg_ctx *ctx = make_context(1);
+        scene s;
+        scene_make(&s, 2, 3, 2, 5, 0.3);
+        const int64_t vertices[4] = { 3, 2, 5, 3 }, rest[4] = { 2, 2, 5, 3 }, rotation[3] = { 3, 2, 4 };
+        const hg_term terms[] = { { hg_energy_find("shear"), 1e6, NULL, NULL },
+                                  { hg_energy_find("hair_style"), 1e6, NULL, NULL } };
+        bench b = { .frame = { .groom = s.groom } };
+        ok(hg_physics_create(&b.physics, ctx, HG_F64, terms, 2, &s.data), "posed");
+        make_tensor(&b, ctx, HG_F64, "x", 4, vertices, s.x, 0, 0, 0);
+        hg_tensor *r = make_tensor(&b, ctx, HG_F64, "rest", 4, rest, s.rest, 0, 0, 0);
+        if (given)
+            b.frame.posed = make_tensor(&b, ctx, HG_F64, "posed", 4, vertices, s.posed, 0, 0, 0);
+        else
+            b.frame.root_rotation = make_tensor(&b, ctx, HG_F64, "root_rotation", 3, rotation, s.rotation, 0, 0, 0);
+        b.inputs[0] = (hg_frame_input){ "rest", r };
+        b.frame.inputs = b.inputs;
+        b.frame.n_inputs = 1;
+        for (int i = 0; i < b.n; i++) hg_require_grad(b.tensor[i]);
+        hg_gradcheck_result check;
+        const hg_status status =
+            hg_gradcheck(ctx, bench_energy, &b, b.n, b.tensor, &(hg_gradcheck_options){ .step = 1e-5 }, &check);
+        if (status != HG_OK) fail_msg("%s: %s", b.name[check.input], hg_message());
+        hg_step_reset(ctx);
+        free_bench(&b);
+        scene_free(&s);
+        hg_ctx_destroy(ctx);
+    }
+}
+
 /* ---- back ends, threads, and values without a gradient ----------------------------------------------------------- */
 
 typedef struct {
@@ -569,11 +604,11 @@ static void test_formulas(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients),     cmocka_unit_test(test_carried),  cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_compiled),      cmocka_unit_test(test_meaning),  cmocka_unit_test(test_mean),
-        cmocka_unit_test(test_window_of_one), cmocka_unit_test(test_together), cmocka_unit_test(test_orientations),
-        cmocka_unit_test(test_given),         cmocka_unit_test(test_steady),   cmocka_unit_test(test_refusals),
-        cmocka_unit_test(test_formulas),
+        cmocka_unit_test(test_gradients),    cmocka_unit_test(test_carried),       cmocka_unit_test(test_posed),
+        cmocka_unit_test(test_threads),      cmocka_unit_test(test_compiled),      cmocka_unit_test(test_meaning),
+        cmocka_unit_test(test_mean),         cmocka_unit_test(test_window_of_one), cmocka_unit_test(test_together),
+        cmocka_unit_test(test_orientations), cmocka_unit_test(test_given),         cmocka_unit_test(test_steady),
+        cmocka_unit_test(test_refusals),     cmocka_unit_test(test_formulas),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
