@@ -280,6 +280,13 @@ static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const
         pass->rest_now = hg_alloc((size_t)base->grooms * n + 1, hg_dtype_size(base->dtype));
         if (!pass->rest_now) return hg_fail(HG_MEMORY, "out of memory for the field at rest");
     }
+    if (rest_follows(pass) &&
+        !base->source[HG_PASS_REST].given) { /* the groom's own rest, in the precision of the pass */
+        void **own = &base->own[HG_PASS_REST];
+        if (!*own) *own = hg_pass_values(base->dtype, 3 * base->grooms * (int64_t)n, base->data->rest);
+        if (!*own) return hg_fail(HG_MEMORY, "out of memory for the rest groom");
+        base->source[HG_PASS_REST].values = *own;
+    }
     if (base->wants && !pass->theta_place) {
         pass->theta_place = hg_alloc(n + 1, sizeof *pass->theta_place);
         if (!pass->theta_place) return hg_fail(HG_MEMORY, "out of memory for the derivatives of a field");

@@ -256,7 +256,7 @@ static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *f
     const hg_pass_source *mass = &base->source[HG_PASS_MASS], *rest = &base->source[HG_PASS_REST],
                          *field_rest = &base->source[HG_PASS_FIELD_REST];
     const bool follows = rest_follows(pass);
-    const hg_real *rest_x = (const hg_real *)rest->values + 3 * groom * n;
+    const hg_real *rest_x = follows ? (const hg_real *)rest->values + 3 * groom * n : NULL;
     HG_P(field_args)
     args = { .pass = pass,
              .frame = frame,

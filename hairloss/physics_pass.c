@@ -74,11 +74,9 @@ hg_status hg_pass_create(hg_pass *pass, const hg_pass_setup *setup, uint32_t all
     hg_term_scope(&scope, &setup->term, 0, allowed);
     HG_TRY(hg_formula_inputs(setup->term.energy->trace, &scope, kinds, &pass->n_attributes, pass->attributes));
     pass->own[HG_PASS_MASS] = hg_pass_values(pass->dtype, n, data->mass);
-    pass->own[HG_PASS_REST] = hg_pass_values(pass->dtype, 3 * n, data->rest);
     pass->strand_slopes = hg_alloc((size_t)(HG_PASS_SOURCES * pass->strands) + 1, sizeof *pass->strand_slopes);
     pass->strand_energies = hg_alloc((size_t)pass->strands + 1, sizeof *pass->strand_energies);
-    if (!pass->own[HG_PASS_MASS] || !pass->own[HG_PASS_REST] || !pass->strand_slopes || !pass->strand_energies)
-        return HG_MEMORY;
+    if (!pass->own[HG_PASS_MASS] || !pass->strand_slopes || !pass->strand_energies) return HG_MEMORY;
     for (int a = 0; a < pass->n_attributes; a++) {
         const double *from = hg_groom_attribute_find(data, pass->attributes[a]);
         if (!from)
