@@ -89,6 +89,22 @@ static hg_status read_text_strand(hg_lines *lines, hg_curves *curves, int64_t st
     return HG_OK;
 }
 
+/* "scale 1", "rotation 0 0 0" or "translation 0 0 0": in which order others would be meant is not known. */
+static hg_status check_transform(hg_lines *lines, hg_word what)
+{
+    bool scale = hg_word_is_any_case(what, "scale");
+    hg_word word;
+    while (hg_lines_word(lines, &word)) {
+        double number;
+        if (!hg_word_number(word, &number) || fabs(number - (scale ? 1 : 0)) > 1e-9)
+            return hg_lines_fail(lines,
+                                 "%.*s %.*s: strands that are to be transformed cannot be read; write the file with "
+                                 "scale 1, rotation 0 0 0 and translation 0 0 0",
+                                 hg_word_length(what), what.at, hg_word_length(word), word.at);
+    }
+    return HG_OK;
+}
+
 static hg_status read_text(hg_curves **out, hg_lines *lines)
 {
     int64_t strands = -1, strand = 0, capacity = 0;
@@ -102,6 +118,9 @@ static hg_status read_text(hg_curves **out, hg_lines *lines)
             if (!(version >= 2 && version < 3))
                 return hg_lines_fail(lines, "text of TressFX version %g; 2 (text), 3 and 4 (binary) can be read",
                                      version);
+        } else if (hg_word_is_any_case(word, "scale") || hg_word_is_any_case(word, "rotation") ||
+                   hg_word_is_any_case(word, "translation")) {
+            HG_TRY(check_transform(lines, word));
         } else if (hg_word_is_any_case(word, "numStrands")) {
             if (curves || !hg_lines_word(lines, &word) || !hg_word_integer(word, &strands) || strands < 1 ||
                 (uint64_t)strands > hg_lines_left(lines) / 8)

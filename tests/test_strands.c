@@ -285,6 +285,18 @@ static void tfx_has_root_uv(void **state)
     }
 }
 
+static void transformed_tfx_is_refused(void **state)
+{
+    (void)state;
+    static const char *const lines[] = { "scale 2", "rotation 0 90 0", "translation 0 0 0.5", "scale x" };
+    char text[512];
+    hg_curves *curves;
+    for (int i = 0; i < 4; i++) {
+        snprintf(text, sizeof text, "version 2.0\n%s\n%s", lines[i], strchr(small_tfx2, '\n') + 1);
+        refused(hg_curves_read(&curves, small_write_text("t.tfx", text)), "t.tfx:2", "cannot be read");
+    }
+}
+
 /* ---- HDF5 --------------------------------------------------------------------------------------------------- */
 
 static void vtkhdf_reads(void **state)
@@ -459,12 +471,19 @@ static void real_round_trips(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(hair_reads),         cmocka_unit_test(bad_hair_is_refused),
-        cmocka_unit_test(data_reads),         cmocka_unit_test(bad_data_is_refused),
-        cmocka_unit_test(ply_reads),          cmocka_unit_test(bad_ply_is_refused),
-        cmocka_unit_test(tfx_has_root_uv),    cmocka_unit_test(vtkhdf_reads),
-        cmocka_unit_test(round_trips),        cmocka_unit_test(bound_groom_stays_bound),
-        cmocka_unit_test(strands_are_chosen), cmocka_unit_test(real_round_trips),
+        cmocka_unit_test(hair_reads),
+        cmocka_unit_test(bad_hair_is_refused),
+        cmocka_unit_test(data_reads),
+        cmocka_unit_test(bad_data_is_refused),
+        cmocka_unit_test(ply_reads),
+        cmocka_unit_test(bad_ply_is_refused),
+        cmocka_unit_test(tfx_has_root_uv),
+        cmocka_unit_test(transformed_tfx_is_refused),
+        cmocka_unit_test(vtkhdf_reads),
+        cmocka_unit_test(round_trips),
+        cmocka_unit_test(bound_groom_stays_bound),
+        cmocka_unit_test(strands_are_chosen),
+        cmocka_unit_test(real_round_trips),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
