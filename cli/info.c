@@ -1,5 +1,6 @@
-/* hairgrad info: what a groom, body, motion, posed scene, drape, checkpoint or run holds, as text or JSON. */
-#include "cli/cli.h"
+/* hairgrad info: what a groom, body, motion, posed scene, drape, checkpoint or run holds, as text or JSON; and files of
+ * other programs that a reader knows (info_foreign.c). */
+#include "cli/facts.h"
 #include "geometry/vector.h"
 
 #include <inttypes.h>
@@ -7,117 +8,7 @@
 #include <stdlib.h>
 #include <string.h>
 
-/* ---- facts -------------------------------------------------------------------------------------------------- */
-
-typedef struct {
-    hg_text out;
-    bool json;
-    int count;
-} facts;
-
-static void add_quoted(hg_text *out, const char *text)
-{
-    hg_text_add(out, "\"");
-    for (const unsigned char *c = (const unsigned char *)text; *c; c++) {
-        if (*c == '"' || *c == '\\')
-            hg_text_add(out, "\\%c", *c);
-        else if (*c < 0x20)
-            hg_text_add(out, "\\u%04x", *c);
-        else
-            hg_text_add(out, "%c", *c);
-    }
-    hg_text_add(out, "\"");
-}
-
-static void begin_fact(facts *f, const char *key)
-{
-    if (!f->json) {
-        hg_text_add(&f->out, "  %-20s ", key);
-    } else {
-        hg_text_add(&f->out, "%s\n    ", f->count ? "," : "");
-        add_quoted(&f->out, key);
-        hg_text_add(&f->out, ": ");
-    }
-    f->count++;
-}
-
-static void end_fact(facts *f, const char *unit)
-{
-    if (!f->json) hg_text_add(&f->out, "%s%s\n", *unit ? " " : "", unit);
-}
-
-static void add_text(facts *f, const char *key, const char *text)
-{
-    begin_fact(f, key);
-    if (f->json)
-        add_quoted(&f->out, text);
-    else
-        hg_text_add(&f->out, "%s", *text ? text : "-");
-    end_fact(f, "");
-}
-
-/* Numbers of one line; JSON has no NaN: null. */
-static void add_numbers(facts *f, const char *key, int n, const double *numbers, const char *unit)
-{
-    begin_fact(f, key);
-    if (f->json && n != 1) hg_text_add(&f->out, "[");
-    for (int i = 0; i < n; i++) {
-        hg_text_add(&f->out, "%s", i ? f->json ? ", " : " " : "");
-        if (isfinite(numbers[i]))
-            hg_text_add(&f->out, f->json ? "%.9g" : "%.6g", numbers[i]);
-        else
-            hg_text_add(&f->out, f->json ? "null" : "-");
-    }
-    if (f->json && n != 1) hg_text_add(&f->out, "]");
-    end_fact(f, unit);
-}
-
-static void add_number(facts *f, const char *key, double number, const char *unit)
-{
-    add_numbers(f, key, 1, &number, unit);
-}
-
-static void add_count(facts *f, const char *key, int64_t count)
-{
-    begin_fact(f, key);
-    hg_text_add(&f->out, "%" PRId64, count);
-    end_fact(f, "");
-}
-
-static void add_hash(facts *f, const char *key, uint64_t hash)
-{
-    char text[20];
-    snprintf(text, sizeof text, "%016" PRIx64, hash);
-    add_text(f, key, text);
-}
-
-static void add_texts(facts *f, const char *key, char *const *texts, int64_t n)
-{
-    begin_fact(f, key);
-    hg_text_add(&f->out, f->json ? "[" : "");
-    for (int64_t i = 0; i < n; i++) {
-        hg_text_add(&f->out, "%s", i ? f->json ? ", " : " " : "");
-        if (f->json)
-            add_quoted(&f->out, texts[i]);
-        else
-            hg_text_add(&f->out, "%s", texts[i]);
-    }
-    hg_text_add(&f->out, f->json ? "]" : "");
-    end_fact(f, "");
-}
-
 /* ---- kinds of files ----------------------------------------------------------------------------------------- */
-
-static void add_extent(facts *f, const float *points, int64_t n)
-{
-    double low[3] = { INFINITY, INFINITY, INFINITY }, high[3] = { -INFINITY, -INFINITY, -INFINITY };
-    for (int64_t i = 0; i < 3 * n; i++) {
-        double x = (double)points[i];
-        low[i % 3] = fmin(low[i % 3], x), high[i % 3] = fmax(high[i % 3], x);
-    }
-    add_numbers(f, "lowest_corner", 3, low, "m");
-    add_numbers(f, "highest_corner", 3, high, "m");
-}
 
 static hg_status about_groom(facts *f, const char *path)
 {
@@ -134,16 +25,16 @@ static hg_status about_groom(facts *f, const char *path)
         shortest = fmin(shortest, length), longest = fmax(longest, length), sum += length;
         bound += g->root_face[s] >= 0;
     }
-    add_text(f, "name", g->name);
-    add_count(f, "strands", g->strands);
-    add_count(f, "vertices_per_strand", n);
-    add_number(f, "shortest", shortest, "m");
-    add_number(f, "mean_length", sum / (double)g->strands, "m");
-    add_number(f, "longest", longest, "m");
-    add_count(f, "bound_roots", bound);
-    add_extent(f, g->points, g->strands * n);
-    add_hash(f, "body_hash", g->body_hash);
-    add_hash(f, "hash", hg_groom_hash(g));
+    facts_text(f, "name", g->name);
+    facts_count(f, "strands", g->strands);
+    facts_count(f, "vertices_per_strand", n);
+    facts_number(f, "shortest", shortest, "m");
+    facts_number(f, "mean_length", sum / (double)g->strands, "m");
+    facts_number(f, "longest", longest, "m");
+    facts_count(f, "bound_roots", bound);
+    facts_extent(f, g->points, g->strands * n);
+    facts_hash(f, "body_hash", g->body_hash);
+    facts_hash(f, "hash", hg_groom_hash(g));
     hg_groom_destroy(g);
     return HG_OK;
 }
@@ -159,17 +50,17 @@ static hg_status about_body(facts *f, const char *path)
             p[c] = hg_vec3f_load(b->points + 3 * (int64_t)b->triangles[3 * (int64_t)b->scalp[i] + c]);
         area += 0.5 * (double)hg_vec3f_norm(hg_vec3f_cross(hg_vec3f_sub(p[1], p[0]), hg_vec3f_sub(p[2], p[0])));
     }
-    add_count(f, "vertices", b->vertices);
-    add_count(f, "faces", b->faces);
-    add_count(f, "joints", b->joints);
-    add_texts(f, "joint_names", b->joint_name, b->joints);
-    add_texts(f, "shapes", b->shape_name, HG_SHAPES);
-    add_numbers(f, "shape_spread", HG_SHAPES, b->shape_spread, "");
-    add_count(f, "scalp_faces", b->scalp_faces);
-    add_number(f, "scalp_area", area, "m2");
-    add_count(f, "collider_faces", b->collider_faces);
-    add_extent(f, b->points, b->vertices);
-    add_hash(f, "hash", hg_body_hash(b));
+    facts_count(f, "vertices", b->vertices);
+    facts_count(f, "faces", b->faces);
+    facts_count(f, "joints", b->joints);
+    facts_texts(f, "joint_names", b->joint_name, b->joints);
+    facts_texts(f, "shapes", b->shape_name, HG_SHAPES);
+    facts_numbers(f, "shape_spread", HG_SHAPES, b->shape_spread, "");
+    facts_count(f, "scalp_faces", b->scalp_faces);
+    facts_number(f, "scalp_area", area, "m2");
+    facts_count(f, "collider_faces", b->collider_faces);
+    facts_extent(f, b->points, b->vertices);
+    facts_hash(f, "hash", hg_body_hash(b));
     hg_body_destroy(b);
     return HG_OK;
 }
@@ -183,7 +74,7 @@ static int compare(const void *a, const void *b)
 /* How fast the joint of this name turns against its parents' parents: the sum of local turns from Neck to Head. */
 static hg_status add_head_speed(facts *f, const hg_motion *m)
 {
-    static const char *const chain[3] = { "Neck", "Neck1", "Head" };
+    static const char *const chain[5] = { "Neck", "Neck1", "Head", "neck", "head" };
     if (m->frames < 2) return HG_OK;
     double *speed = hg_alloc((size_t)m->frames, sizeof *speed);
     if (!speed) return HG_MEMORY;
@@ -191,7 +82,7 @@ static hg_status add_head_speed(facts *f, const hg_motion *m)
     bool found = false;
     for (int64_t t = 0; t < m->frames; t++) {
         hg_quatd turn = hg_quatd_identity();
-        for (int i = 0; i < 3; i++)
+        for (int i = 0; i < 5; i++)
             for (int64_t j = 0; j < m->joints; j++) {
                 if (strcmp(m->joint_name[j], chain[i]) != 0) continue;
                 hg_quatd local = hg_quatd_from_f(hg_quatf_load(m->rotation + 4 * (t * m->joints + j)));
@@ -203,8 +94,8 @@ static hg_status add_head_speed(facts *f, const hg_motion *m)
     }
     if (found) {
         qsort(speed, (size_t)m->frames - 1, sizeof *speed, compare);
-        add_number(f, "head_speed_median", speed[(m->frames - 1) / 2], "degrees/s");
-        add_number(f, "head_speed_highest", speed[m->frames - 2], "degrees/s");
+        facts_number(f, "head_speed_median", speed[(m->frames - 1) / 2], "degrees/s");
+        facts_number(f, "head_speed_highest", speed[m->frames - 2], "degrees/s");
     }
     hg_free(speed);
     return HG_OK;
@@ -214,14 +105,14 @@ static hg_status about_motion(facts *f, const char *path)
 {
     hg_motion *m;
     HG_TRY(hg_motion_load(&m, path, NULL));
-    add_text(f, "name", m->name);
-    add_count(f, "frames", m->frames);
-    add_number(f, "rate", m->rate, "1/s");
-    add_number(f, "seconds", (double)(m->frames - 1) / m->rate, "s");
-    add_count(f, "joints", m->joints);
-    add_texts(f, "joint_names", m->joint_name, m->joints);
+    facts_text(f, "name", m->name);
+    facts_count(f, "frames", m->frames);
+    facts_number(f, "rate", m->rate, "1/s");
+    facts_number(f, "seconds", (double)(m->frames - 1) / m->rate, "s");
+    facts_count(f, "joints", m->joints);
+    facts_texts(f, "joint_names", m->joint_name, m->joints);
     hg_status status = add_head_speed(f, m);
-    add_extent(f, m->translation, m->frames);
+    facts_extent(f, m->translation, m->frames);
     hg_motion_destroy(m);
     return status;
 }
@@ -231,10 +122,10 @@ static void add_attribute(facts *f, hg_h5 *file, const char *object, const char 
     char *text;
     double number;
     if (hg_h5_get_text(file, object, name, &text) == HG_OK) {
-        add_text(f, name, text);
+        facts_text(f, name, text);
         hg_free(text);
     } else if (hg_h5_get_number(file, object, name, &number) == HG_OK) {
-        add_number(f, name, number, "");
+        facts_number(f, name, number, "");
     }
 }
 
@@ -245,7 +136,7 @@ static void add_shape(facts *f, hg_h5 *file, const char *name)
     double sizes[6];
     if (!hg_h5_has(file, name) || hg_h5_shape(file, name, &rank, shape) != HG_OK) return;
     for (int i = 0; i < rank; i++) sizes[i] = (double)shape[i];
-    add_numbers(f, name + (name[0] == '/'), rank, sizes, "");
+    facts_numbers(f, name + (name[0] == '/'), rank, sizes, "");
 }
 
 static void about_posed(facts *f, hg_h5 *file)
@@ -271,7 +162,7 @@ static void add_scalar(facts *f, hg_h5 *file, const char *name)
     double *value;
     if (!hg_h5_has(file, name) || hg_h5_read(file, name, HG_F64, 1, (int64_t[]){ 1 }, NULL, (void **)&value) != HG_OK)
         return;
-    add_number(f, name + 1, value[0], "");
+    facts_number(f, name + 1, value[0], "");
     hg_free(value);
 }
 
@@ -288,10 +179,10 @@ static void about_checkpoint(facts *f, hg_h5 *file)
 static hg_status about_other(facts *f, hg_h5 *file, const char *path)
 {
     if (hg_h5_has(file, "/VTKHDF")) {
-        add_text(f, "kind", "drape");
+        facts_text(f, "kind", "drape");
         about_drape(f, file);
     } else if (hg_h5_has(file, "/model")) {
-        add_text(f, "kind", "checkpoint");
+        facts_text(f, "kind", "checkpoint");
         about_checkpoint(f, file);
     } else {
         return hg_fail(HG_FORMAT,
@@ -318,7 +209,7 @@ static hg_status about_file(facts *f, const char *path)
                   { "hairgrad motion", about_motion } };
     hg_status status = HG_OK;
     bool posed = strcmp(format, "hairgrad posed scene") == 0;
-    add_text(f, "kind", strncmp(format, "hairgrad ", 9) ? format : format + 9);
+    facts_text(f, "kind", strncmp(format, "hairgrad ", 9) ? format : format + 9);
     if (posed) about_posed(f, file);
     hg_h5_close(file);
     for (int i = 0; i < 3; i++)
@@ -334,11 +225,15 @@ static hg_status about(facts *f, const char *path)
 {
     char *checkpoint = hg_path_join(path, "checkpoint.h5");
     if (!checkpoint) return HG_MEMORY;
+    if (info_is_foreign(path)) {
+        hg_free(checkpoint);
+        return info_foreign(f, path);
+    }
     if (!hg_file_exists(checkpoint)) {
         hg_free(checkpoint);
         return about_file(f, path);
     }
-    add_text(f, "checkpoint", checkpoint);
+    facts_text(f, "checkpoint", checkpoint);
     hg_status status = about_file(f, checkpoint);
     hg_free(checkpoint);
     return status;
@@ -355,7 +250,7 @@ static int info(const hg_arguments *arguments)
             hg_text_add(&all.out, "%s\n  {", i ? "," : "");
         else
             hg_text_add(&all.out, "%s%s\n", i ? "\n" : "", path);
-        if (all.json) add_text(&all, "file", path);
+        if (all.json) facts_text(&all, "file", path);
         if (about(&all, path) != HG_OK) {
             hg_text_free(&all.out);
             return cli_fail();
@@ -374,5 +269,5 @@ static int info(const hg_arguments *arguments)
 
 static const hg_argument info_options[] = { { "json", NULL, "as JSON, a list with one object per file", false } };
 
-HG_COMMAND(info, .what = "what a groom, body, motion, posed scene, drape, checkpoint or run holds", .usage = "FILE...",
-           .options = info_options, .n_options = 1, .min_free = 1, .max_free = 1000, .run = info);
+HG_COMMAND(info, .what = "what a groom, body, motion, posed scene, drape, checkpoint, run or a file to import holds",
+           .usage = "FILE...", .options = info_options, .n_options = 1, .min_free = 1, .max_free = 1000, .run = info);

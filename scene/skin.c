@@ -164,7 +164,7 @@ static void take_faces(hg_body *body, const head *h, double radius)
         hg_vec3d c = face_centre(body, f), d = hg_vec3d_sub(c, h->centre);
         double least = 1;
         for (int k = 0; k < 3; k++) least = fmin(least, head_weight(body, body->triangles[3 * f + k], h->joints));
-        bool ear = fabs(d.x) > 0.72 * h->half_width && d.y < 0.25 * h->half_width && d.z > -0.5 * h->half_width;
+        bool ear = fabs(d.x) > 0.84 * h->half_width && d.y < 0.15 * h->half_width && d.z > -0.5 * h->half_width;
         bool cap = hg_vec3d_dot(hg_vec3d_normalize(d), axis) > widest && !ear && d.y > -1.35 * h->half_width;
         if (least > 0.3 && (radius > 0 ? hg_vec3d_distance(c, h->top) < radius : cap))
             body->scalp[body->scalp_faces++] = (int32_t)f;

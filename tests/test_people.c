@@ -413,6 +413,59 @@ static void an_amass_clip_moves_another_rig(void **state)
     hg_body_destroy(body);
 }
 
+/* The body of ../shared/data as an SMPL-like one: its scalp, whose faces are known, is found again within a few per cent. */
+static void a_scalp_is_found(void **state)
+{
+    (void)state;
+    const char *source = getenv("HG_SOURCE");
+    char folder[1024];
+    snprintf(folder, sizeof folder, "%s/../shared/data/bodies", source ? source : ".");
+    if (!hg_file_exists(folder)) skip();
+    hg_body *known, *found;
+    ok(hg_body_read(NULL, &known, folder, NULL, NULL));
+    float *weights = hg_alloc((size_t)known->vertices, 24 * sizeof *weights), places[24][3];
+    assert_non_null(weights);
+    small_places(places);
+    for (int64_t i = 0; i < known->vertices * HG_INFLUENCES; i++) {
+        int joint = -1;
+        for (int j = known->influence[i]; joint < 0;
+             j = known->parent[j]) { /* those that SMPL lacks: with the one above */
+            const joint_row *row = joints_row(known->joint_name[j], JOINTS_OWN);
+            for (int k = 0; row->name[JOINTS_SMPL] && joint < 0 && k < 24; k++)
+                if (!strcmp(joints_smpl(24)[k], row->name[JOINTS_SMPL])) joint = k;
+        }
+        weights[24 * (i / HG_INFLUENCES) + joint] += known->weight[i];
+    }
+    npz_item items[] = { { "v_template", HG_F32, 2, { known->vertices, 3 }, known->points },
+                         { "f", HG_I32, 2, { known->faces, 3 }, known->triangles },
+                         { "weights", HG_F32, 2, { known->vertices, 24 }, weights },
+                         { "J", HG_F32, 2, { 24, 3 }, places } };
+    ok(npz_write(small_path("person.npz"), 4, items));
+    ok(hg_body_read(NULL, &found, small_path("person.npz"), NULL, NULL));
+    double both = 0, one[2] = { 0 };
+    for (int64_t a = 0, b = 0; a < known->scalp_faces || b < found->scalp_faces;) {
+        int32_t x = a < known->scalp_faces ? known->scalp[a] : INT32_MAX,
+                y = b < found->scalp_faces ? found->scalp[b] : INT32_MAX;
+        int32_t f = x < y ? x : y;
+        const int32_t *t = known->triangles + 3 * (int64_t)f;
+        hg_vec3f p = hg_vec3f_load(known->points + 3 * (int64_t)t[0]),
+                 q = hg_vec3f_load(known->points + 3 * (int64_t)t[1]),
+                 r = hg_vec3f_load(known->points + 3 * (int64_t)t[2]);
+        double area = 0.5 * (double)hg_vec3f_norm(hg_vec3f_cross(hg_vec3f_sub(q, p), hg_vec3f_sub(r, p)));
+        if (x == y)
+            both += area;
+        else
+            one[x > y] += area;
+        a += x == f, b += y == f;
+    }
+    print_message("scalp: %.1f cm2 of %.1f missed, %.1f cm2 too many\n", 1e4 * one[0], 1e4 * (both + one[0]),
+                  1e4 * one[1]);
+    assert_true(one[0] < 0.05 * both && one[1] < 0.05 * both);
+    hg_free(weights);
+    hg_body_destroy(known);
+    hg_body_destroy(found);
+}
+
 /* The body of ../shared/data: it stands as the clip says, feet near the floor, arms stretched out to the sides. */
 static void an_amass_clip_moves_the_makehuman_body(void **state)
 {
