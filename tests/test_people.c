@@ -519,11 +519,17 @@ static void an_amass_clip_moves_the_makehuman_body(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(strands_of_every_layout),         cmocka_unit_test(lying_strands_are_refused),
-        cmocka_unit_test(an_smpl_like_body_reads),         cmocka_unit_test(regressors_of_every_layout),
-        cmocka_unit_test(lying_bodies_are_refused),        cmocka_unit_test(an_amass_clip_moves_an_smpl_body),
-        cmocka_unit_test(clips_of_every_layout),           cmocka_unit_test(lying_clips_are_refused),
-        cmocka_unit_test(an_amass_clip_moves_another_rig), cmocka_unit_test(an_amass_clip_moves_the_makehuman_body),
+        cmocka_unit_test(strands_of_every_layout),
+        cmocka_unit_test(lying_strands_are_refused),
+        cmocka_unit_test(an_smpl_like_body_reads),
+        cmocka_unit_test(regressors_of_every_layout),
+        cmocka_unit_test(lying_bodies_are_refused),
+        cmocka_unit_test(an_amass_clip_moves_an_smpl_body),
+        cmocka_unit_test(clips_of_every_layout),
+        cmocka_unit_test(lying_clips_are_refused),
+        cmocka_unit_test(an_amass_clip_moves_another_rig),
+        cmocka_unit_test(a_scalp_is_found),
+        cmocka_unit_test(an_amass_clip_moves_the_makehuman_body),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
