@@ -72,13 +72,13 @@ static int trace(const hg_arguments *arguments)
     for (char *word = list != NULL ? strtok_r(list, ", ", &rest) : NULL; word != NULL && n_wrt < MOST_WRT;
          word = strtok_r(NULL, ", ", &rest))
         wrt[n_wrt++] = word;
-    const bool printed = cli_flag(arguments, "c");
+    const bool cuda = cli_flag(arguments, "cuda"), printed = cuda || cli_flag(arguments, "c");
     hg_text report = { 0 }, c = { 0 };
-    const hg_status status =
-        hg_energy_trace(terms, n, strcmp(type, "f64") == 0 ? HG_F64 : HG_F32, n_wrt, wrt, &report, &c);
+    const hg_status status = hg_energy_trace(terms, n, strcmp(type, "f64") == 0 ? HG_F64 : HG_F32, n_wrt, wrt, &report,
+                                             cuda ? NULL : &c, cuda ? &c : NULL);
     hg_free(list);
     if (status == HG_OK && printed && c.size == 0) {
-        hg_fail(HG_UNSUPPORTED, "trace: energies over pairs and neighbours are interpreted; there is no C of %s",
+        hg_fail(HG_UNSUPPORTED, "trace: energies over pairs and neighbours are interpreted; there is no kernel of %s",
                 arguments->free[0]);
     } else if (status == HG_OK && printed) {
         fputs(c.data, stdout);
@@ -99,6 +99,7 @@ static const hg_argument trace_options[] = {
       false },
     { "dtype", "f32|f64", "number type of the kernel (default f32)", false },
     { "c", NULL, "print the kernel as C instead", false },
+    { "cuda", NULL, "print the kernel as CUDA C instead", false },
 };
 HG_COMMAND(trace, .what = "what becomes of an energy's formula: operations, what is hoisted, instructions, C",
            .usage = "NAME...", .options = trace_options, .n_options = sizeof trace_options / sizeof *trace_options,

@@ -99,8 +99,8 @@ typedef struct {
 
 /* What becomes of a sum of energies, as text: operations before and after each simplification, what is computed how often, the
  * instructions at a site. wrt: names of what the derivative is taken in beside x ("rest", "stiffness", "bend_twist.stiffness", ...).
- * c (may be NULL) gets the printed kernel; it stays empty for energies over pairs and neighbours. */
-hg_status hg_energy_trace(const hg_term *terms, int n, hg_dtype dtype, int n_wrt, const char *const *wrt, hg_text *report, hg_text *c);
+ * c and cuda (may be NULL) get the printed kernel; they stay empty for energies over pairs and neighbours. */
+hg_status hg_energy_trace(const hg_term *terms, int n, hg_dtype dtype, int n_wrt, const char *const *wrt, hg_text *report, hg_text *c, hg_text *cuda);
 
 typedef struct { const char *name; const double *values; /* [G,S,V] */ } hg_groom_attribute;
 

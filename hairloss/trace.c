@@ -71,7 +71,8 @@ static hg_status want(wanted *w, const hg_term *terms, int n, const char *name)
                    name);
 }
 
-static hg_status trace_window(const hg_term *terms, int n, hg_dtype dtype, const wanted *w, hg_text *report, hg_text *c)
+static hg_status trace_window(const hg_term *terms, int n, hg_dtype dtype, const wanted *w, hg_text *report, hg_text *c,
+                              hg_text *cuda)
 {
     hg_report_formula formulas[2 * TERMS];
     hg_strand_term traced[TERMS];
@@ -88,12 +89,13 @@ static hg_status trace_window(const hg_term *terms, int n, hg_dtype dtype, const
     HG_TRY(hg_strand_program_create(&program, dtype, n, traced, w->n, w->given, true));
     hg_report_program(program, n, traced, report);
     if (c) hg_strand_print_c(program, "kernel", c);
+    if (cuda) hg_strand_print_cuda(program, "kernel", cuda);
     hg_strand_program_destroy(program);
     return HG_OK;
 }
 
 static hg_status trace_terms(const hg_term *terms, int n, hg_dtype dtype, int n_wrt, const char *const *wrt, wanted *w,
-                             hg_text *report, hg_text *c)
+                             hg_text *report, hg_text *c, hg_text *cuda)
 {
     hg_term completed[TERMS];
     double params[TERMS][HG_ENERGY_PARAMS];
@@ -120,7 +122,7 @@ static hg_status trace_terms(const hg_term *terms, int n, hg_dtype dtype, int n_
     const hg_term *one = &completed[0];
     switch (one->energy->site.kind) {
     case HG_SITE_WINDOW:
-        status = trace_window(completed, n, dtype, w, report, c);
+        status = trace_window(completed, n, dtype, w, report, c, cuda);
         break;
     case HG_SITE_PAIRS:
         status = add_formula(formulas, &count, one, 0, one->energy->trace, HG_ALLOW_PAIRS);
@@ -139,16 +141,16 @@ static hg_status trace_terms(const hg_term *terms, int n, hg_dtype dtype, int n_
             status = hg_report_counts(count, formulas, HG_ALLOW(HG_INPUT_FIELD), w->n, w->given, report);
         break;
     }
-    if (status == HG_OK && (report->failed || (c && c->failed))) return HG_MEMORY;
+    if (status == HG_OK && (report->failed || (c && c->failed) || (cuda && cuda->failed))) return HG_MEMORY;
     return status;
 }
 
 hg_status hg_energy_trace(const hg_term *terms, int n, hg_dtype dtype, int n_wrt, const char *const *wrt,
-                          hg_text *report, hg_text *c)
+                          hg_text *report, hg_text *c, hg_text *cuda)
 {
     wanted *w = hg_alloc(1, sizeof *w);
     if (!w) return HG_MEMORY;
-    const hg_status status = trace_terms(terms, n, dtype, n_wrt, wrt, w, report, c);
+    const hg_status status = trace_terms(terms, n, dtype, n_wrt, wrt, w, report, c, cuda);
     for (int t = 0; t < TERMS; t++) hg_formula_names_free(&w->names[t]);
     hg_free(w);
     return status;

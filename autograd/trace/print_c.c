@@ -11,18 +11,6 @@ typedef struct {
     const hg_instruction *defined[INT16_MAX + 1]; /* of the list being printed */
 } printer;
 
-/* Names of an array and its gradient in the printed code; standard inputs by their own, others by number. */
-static void array_name(const printer *p, int k, bool gradient, char name[40])
-{
-    const hg_strand_input *array = &p->program->arrays[k];
-    char own[24];
-    if (array->kind == HG_INPUT_ATTRIBUTE || array->kind == HG_INPUT_FRAME)
-        snprintf(own, sizeof own, "array_%d", k);
-    else
-        snprintf(own, sizeof own, "%s", hg_input_name(array->kind));
-    snprintf(name, 40, gradient ? "gradient_%s" : "%s", own);
-}
-
 /* all: as a vector even where it is the same for all lanes */
 static void operand(printer *p, hg_operand o, bool all)
 {
@@ -32,7 +20,7 @@ static void operand(printer *p, hg_operand o, bool all)
         const bool gradient = o.place >= HG_PLACE_ARRAY_GRADIENT;
         const int k = o.place - (gradient ? HG_PLACE_ARRAY_GRADIENT : HG_PLACE_ARRAY);
         char name[40];
-        array_name(p, k, gradient, name);
+        hg_strand_array_name(p->program, k, gradient, name);
         hg_text_add(text, "%s[%d]", name, program->arrays[k].width * o.offset + o.index);
         return;
     }
@@ -223,7 +211,7 @@ static void vertex(printer *p, const hg_code *code, const char *indent)
     for (int k = 0; k < program->n_arrays; k++)
         for (int gradient = 0; gradient < 2; gradient++) {
             char name[40];
-            array_name(p, k, gradient, name);
+            hg_strand_array_name(p->program, k, gradient, name);
             if (touches(code, (gradient ? HG_PLACE_ARRAY_GRADIENT : HG_PLACE_ARRAY) + k))
                 hg_text_add(text, "%s%shg_v *restrict %s = tile_%s + %d * i;\n", indent, gradient ? "" : "const ", name,
                             name, program->arrays[k].width);
@@ -274,7 +262,7 @@ static void load(printer *p)
     char name[40];
     for (int k = 0; k < program->n_arrays; k++) {
         const hg_strand_input *array = &program->arrays[k];
-        array_name(p, k, false, name);
+        hg_strand_array_name(p->program, k, false, name);
         hg_text_add(text, "        hg_v_load_tile(tile_%s, (const hg_real *)args->array[%d] + %s * (", name, k,
                     array->rest ? "in_groom" : "at");
         size(p, array);
@@ -296,7 +284,7 @@ static void store(printer *p)
     for (int k = 0; k < program->n_arrays; k++) {
         const hg_strand_input *array = &program->arrays[k];
         if (!array->gradient) continue;
-        array_name(p, k, true, name);
+        hg_strand_array_name(p->program, k, true, name);
         hg_text_add(text,
                     "        if (args->array_gradient[%d])\n"
                     "            hg_v_store_tile((hg_real *)args->array_gradient[%d] + at * (",
@@ -372,13 +360,13 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     hg_text_add(text, "static void %s(const hg_strand_args *args, int64_t first, int64_t last, void *scratch)\n{\n",
                 name);
     hg_text_add(text, "    const int64_t V = args->vertices, S = args->strands;\n");
-    if (program->n_uniform) hg_text_add(text, "    const hg_real *restrict u = args->uniform;\n");
+    if (program->n_uniform) hg_text_add(text, "    const hg_real *restrict u = (const hg_real *)args->uniform;\n");
     if (second) hg_text_add(text, "    const int64_t second = V > 1 ? 3 : 0;\n");
     for (int k = 0; k < program->n_arrays; k++) {
         char own[40];
-        array_name(p, k, true, own);
+        hg_strand_array_name(p->program, k, true, own);
         if (program->arrays[k].gradient) tile(p, own, program->arrays[k].gradient_tile);
-        array_name(p, k, false, own);
+        hg_strand_array_name(p->program, k, false, own);
         tile(p, own, program->arrays[k].tile);
     }
     if (program->n_carry) {
@@ -419,3 +407,31 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     hg_text_add(text, "    }\n}\n");
     hg_free(p);
 }
+
+/* ---- for the other printer ---------------------------------------------------------------------------------- */
+
+void hg_strand_print_list(const hg_strand_program *program, const hg_code *code, const char *indent, hg_text *text)
+{
+    printer *p = hg_alloc(1, sizeof *p);
+    if (!p) {
+        text->failed = true;
+        return;
+    }
+    p->program = program;
+    p->text = text;
+    list(p, code, indent);
+    hg_free(p);
+}
+
+void hg_strand_array_name(const hg_strand_program *program, int k, bool gradient, char name[40])
+{
+    const hg_strand_input *array = &program->arrays[k];
+    char own[24];
+    if (array->kind == HG_INPUT_ATTRIBUTE || array->kind == HG_INPUT_FRAME)
+        snprintf(own, sizeof own, "array_%d", k);
+    else
+        snprintf(own, sizeof own, "%s", hg_input_name(array->kind));
+    snprintf(name, 40, gradient ? "gradient_%s" : "%s", own);
+}
+
+bool hg_strand_list_touches(const hg_code *code, int place) { return touches(code, place); }

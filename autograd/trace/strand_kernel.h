@@ -7,8 +7,14 @@
 #ifndef HG_STRAND_KERNEL_H
 #define HG_STRAND_KERNEL_H
 
+#if defined(__CUDACC_RTC__) /* NVRTC has no such headers */
+typedef int int32_t;
+typedef long long int64_t;
+typedef unsigned long long uint64_t;
+#else
 #include <stddef.h>
 #include <stdint.h>
+#endif
 
 /* What a program reads by vertex (x first), and by strand (root rotation, root position, then what a call gives). */
 enum { HG_STRAND_ARRAYS = 16, HG_STRAND_INPUTS = 24 };

@@ -1,0 +1,60 @@
+/* strand_cuda (private): what a kernel printed as CUDA C needs: the scalar type, the functions of strand_vector.h for one
+ * strand a thread, and where a warp keeps things. HG_BYTES (4 or 8) is defined by whoever compiles the kernel: NVRTC, or a C++
+ * compiler that a test gives __global__, threadIdx and __syncwarp. */
+#ifndef HG_STRAND_CUDA_H
+#define HG_STRAND_CUDA_H
+
+#include "autograd/trace/strand_kernel.h"
+
+#ifndef HG_DYNAMIC_SHARED
+#define HG_DYNAMIC_SHARED(type, name) extern __shared__ type name[]
+#endif
+
+#define restrict __restrict__
+#define HG_LANES 1
+#if HG_BYTES == 8
+typedef double hg_real;
+#define HG_R(literal) literal
+#define HG_MATH(name) name
+#else
+typedef float hg_real;
+#define HG_R(literal) literal##f
+#define HG_MATH(name) name##f
+#endif
+typedef hg_real hg_v;
+
+static __device__ inline hg_v hg_v_all(hg_v a) { return a; }
+static __device__ inline hg_v hg_v_sqrt(hg_v a) { return HG_MATH(sqrt)(a); }
+static __device__ inline hg_v hg_v_rsqrt(hg_v a) { return HG_R(1.0) / HG_MATH(sqrt)(a); }
+static __device__ inline hg_v hg_v_abs(hg_v a) { return HG_MATH(fabs)(a); }
+static __device__ inline hg_v hg_v_exp(hg_v a) { return HG_MATH(exp)(a); }
+static __device__ inline hg_v hg_v_log(hg_v a) { return HG_MATH(log)(a); }
+static __device__ inline hg_v hg_v_sin(hg_v a) { return HG_MATH(sin)(a); }
+static __device__ inline hg_v hg_v_cos(hg_v a) { return HG_MATH(cos)(a); }
+static __device__ inline hg_v hg_v_atan2(hg_v a, hg_v b) { return HG_MATH(atan2)(a, b); }
+static __device__ inline hg_v hg_v_min(hg_v a, hg_v b) { return b < a ? b : a; }
+static __device__ inline hg_v hg_v_max(hg_v a, hg_v b) { return a < b ? b : a; }
+static __device__ inline hg_v hg_v_less(hg_v a, hg_v b) { return a < b ? HG_R(1.0) : HG_R(0.0); }
+static __device__ inline hg_v hg_v_select(hg_v c, hg_v a, hg_v b) { return c != 0 ? a : b; }
+static __device__ inline hg_v hg_v_if_less(hg_v a, hg_v b, hg_v c, hg_v d) { return a < b ? c : d; }
+
+static __device__ inline void hg_v_load_tile(hg_v *tile, const hg_real *rows, int64_t width, int64_t count)
+{
+    for (int64_t j = 0; j < width && count > 0; j++) tile[j] = rows[j];
+}
+
+static __device__ inline void hg_v_store_tile(hg_real *rows, const hg_v *tile, int64_t width, int64_t count)
+{
+    for (int64_t j = 0; j < width && count > 0; j++) rows[j] = tile[j];
+}
+
+static __device__ inline void hg_v_store_energy(const hg_strand_args *args, int64_t tile, int64_t strand, int64_t count,
+                                                const hg_v *energy, int terms)
+{
+    for (int t = 0; t < terms && count > 0; t++) {
+        args->energy[tile * terms + t] = (double)energy[t];
+        if (args->per_strand) args->per_strand[strand * args->stride + args->column[t]] = (double)energy[t];
+    }
+}
+
+#endif
