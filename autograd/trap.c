@@ -73,10 +73,17 @@ static hg_status write_tensor(hg_h5 *file, const char *name, const hg_tensor *te
     return status;
 }
 
+/* Attributes are bytes that an op believes: that they are what was written is made sure of. */
+static const char *hash_text(const void *attributes, int64_t size, char text[24])
+{
+    snprintf(text, 24, "%016llx", (unsigned long long)hg_hash(attributes, (size_t)size, 0));
+    return text;
+}
+
 static hg_status write_call(const hg_call *call, const char *path)
 {
     hg_h5 *file;
-    char name[32];
+    char name[32], hash[24];
     HG_TRY(hg_h5_create(&file, path));
     hg_status status = hg_h5_set_text(file, "/", "op", call->op->name);
     for (int i = 0; i < call->n_in && status == HG_OK; i++) {
@@ -85,6 +92,8 @@ static hg_status write_call(const hg_call *call, const char *path)
     }
     const int64_t size = (int64_t)call->op->attributes_size;
     if (status == HG_OK && size) status = hg_h5_write_u8(file, "attributes", 1, &size, call->attributes);
+    if (status == HG_OK && size)
+        status = hg_h5_set_text(file, "attributes", "hash", hash_text(call->attributes, size, hash));
     if (status == HG_OK) status = write_tensor(file, "output", call->out);
     if (status == HG_OK && hg_grad(call->out)) status = write_tensor(file, "gradient", hg_grad(call->out));
     if (status == HG_OK) return hg_h5_commit(file);
@@ -193,9 +202,15 @@ static hg_status read_call(hg_ctx *ctx, hg_h5 *file, const char *path, bool in_f
         return hg_fail(HG_UNSUPPORTED, "%s: the op has %lld bytes of attributes", path, (long long)size);
     if (size) {
         uint8_t *bytes = NULL;
+        char expected[24], *hash = NULL;
         HG_TRY(hg_h5_read_u8(file, "attributes", 1, &size, NULL, &bytes));
         memcpy(call->attributes, bytes, (size_t)size);
         hg_free(bytes);
+        HG_TRY(hg_h5_get_text(file, "attributes", "hash", &hash));
+        if (strcmp(hash, hash_text(call->attributes, size, expected)) != 0)
+            status = hg_fail(HG_FORMAT, "%s: the attributes of the op are damaged", path);
+        hg_free(hash);
+        HG_TRY(status);
     }
     for (int i = 0; i < call->op->max_in && i < HG_OP_INPUTS; i++) {
         snprintf(input, sizeof input, "input_%d", i);
