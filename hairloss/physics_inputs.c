@@ -219,8 +219,14 @@ static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tens
     bool is_param = false;
     HG_TRY(param(r, name, tensor, &is_param));
     if (is_param) return HG_OK;
-    if (strcmp(name, "dt") == 0 && asks->kinds & HG_ALLOW(HG_INPUT_DT))
-        return number(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_DT });
+    if (strcmp(name, "dt") == 0 && asks->kinds & HG_ALLOW(HG_INPUT_DT)) {
+        HG_TRY(number(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_DT }));
+        for (int64_t i = 0; i < hg_tensor_count(tensor); i++)
+            if (!(hg_tensor_item(tensor, i) > 0))
+                return hg_fail(HG_INVALID, "physics: input 'dt' is %g s at number %lld; a time step is positive",
+                               hg_tensor_item(tensor, i), (long long)i);
+        return HG_OK;
+    }
     if (strcmp(name, "rest") == 0 && asks->kinds & (HG_ALLOW(HG_INPUT_REST) | HG_ALLOW(HG_INPUT_ROOT_REST)))
         return groom_array(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_REST }, 3);
     if (strcmp(name, "mass") == 0 && asks->kinds & HG_ALLOW(HG_INPUT_MASS))

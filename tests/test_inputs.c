@@ -458,6 +458,12 @@ static void test_orientations(void **state)
 
 /* ---- what a call may bring --------------------------------------------------------------------------------------- */
 
+static void says(const char *a, const char *b)
+{
+    if (!strstr(hg_message(), a) || !strstr(hg_message(), b))
+        fail_msg("the message '%s' does not say '%s' and '%s'", hg_message(), a, b);
+}
+
 /* A value that is given says the same as the term or the groom when it is the same. */
 static void test_given(void **state)
 {
@@ -484,16 +490,25 @@ static void test_given(void **state)
                                 { "scalp_distance", upload(ctx, HG_F64, 3, groom, s.scalp_distance) },
                                 { "dt", upload(ctx, HG_F64, 0, NULL, &dt) } };
     frame.inputs = inputs;
-    for (frame.n_inputs = 1; frame.n_inputs <= 5; frame.n_inputs++) {
+    hg_frame_input some[5];
+    frame.inputs = some;
+    for (int round = 0; round < 64; round++) { /* every combination, more than are kept, twice */
+        frame.n_inputs = 0;
+        for (int i = 0; i < 5; i++)
+            if (round >> i & 1) some[frame.n_inputs++] = inputs[i];
         ok(hg_physics_evaluate(physics, ctx, &frame, x, found, NULL, b), "given");
         assert_true(difference(expected, found, n) < 1e-12);
         assert_true(difference(a->data, b->data, hg_tensor_count(a)) < 1e-12);
     }
-    inputs[0].value = upload(ctx, HG_F64, 0, NULL, twice);
+    some[0] = (hg_frame_input){ "stretch.stiffness", upload(ctx, HG_F64, 0, NULL, twice) };
     frame.n_inputs = 1;
     ok(hg_physics_evaluate(physics, ctx, &frame, x, found, NULL, NULL), "given");
     for (int t = 0; t < n; t++)
         assert_true(fabs(found[t] - (terms[t].energy == stretch ? 2 : 1) * expected[t]) <= 1e-12 * fabs(expected[t]));
+    const double none = 0;
+    some[0] = (hg_frame_input){ "dt", upload(ctx, HG_F64, 0, NULL, &none) };
+    assert_int_equal(hg_physics_evaluate(physics, ctx, &frame, x, found, NULL, NULL), HG_INVALID);
+    says("'dt'", "positive");
     hg_physics_destroy(physics);
     scene_free(&s);
     hg_ctx_destroy(ctx);
@@ -522,12 +537,6 @@ static void test_steady(void **state)
     free_bench(&b);
     scene_free(&s);
     hg_ctx_destroy(ctx);
-}
-
-static void says(const char *a, const char *b)
-{
-    if (!strstr(hg_message(), a) || !strstr(hg_message(), b))
-        fail_msg("the message '%s' does not say '%s' and '%s'", hg_message(), a, b);
 }
 
 static void test_refusals(void **state)
