@@ -68,7 +68,11 @@ static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments)
     HG_TRY(cli_shape(arguments, shape, &given));
     if (cli_value(arguments, "frames", NULL) && !cli_integer(arguments, "frames", &frames))
         return hg_fail(HG_INVALID, "--frames %s: expected a whole number", cli_value(arguments, "frames", ""));
-    hg_status status = hg_hair_task_open(&task, ctx, arguments->free[0], &progress);
+    const char *set[64];
+    int n_set = 0;
+    for (int i = 0; i < arguments->n_given; i++)
+        if (!strcmp(arguments->given[i].name, "set")) set[n_set++] = arguments->given[i].value;
+    hg_status status = hg_hair_task_open_with(&task, ctx, arguments->free[0], n_set, set, &progress);
     const char *groom = cli_value(arguments, "groom", NULL);
     if (status == HG_OK && groom) status = hg_hair_choose_groom(task, groom);
     if (status == HG_OK) status = cli_materials(arguments, task);
@@ -111,6 +115,8 @@ static const hg_argument evaluate_options[] = {
     { "material", "NAME=VALUE", "of a network that was trained over a range, like \"bend_twist.stiffness=2e-9 N*m^2\"",
       true },
     { "shape", "NUMBERS", "body shape, like 0.5,0,-1 (default: shapes that training does not draw)", false },
+    { "set", "KEY=VALUE", "judge by other energies: override a value of the run's config, like losses.drag.weight=0",
+      true },
     { "json", "FILE", "write the metrics there too", false },
     CLI_TRAP_OPTION,
     CLI_CONTEXT_OPTIONS,

@@ -483,6 +483,25 @@ static hg_train_options train_options(const hg_hair_task *task)
     return options;
 }
 
+/* Materials that are given in every call make another kernel than the config's numbers do: the first call makes it, and says
+ * what runs it, which a checkpoint keeps. */
+static hg_status first_call(hg_hair_task *task)
+{
+    if (task->opened || !(task->n_materials + task->n_learnt)) return HG_OK;
+    void *batch = hg_alloc(1, task->batch_bytes);
+    if (!batch) return HG_MEMORY;
+    double unweighted[HG_HAIR_TERMS];
+    hg_step_reset(task->ctx);
+    hg_status status = hg_hair_sample(task, task->ctx, hg_ctx_seed(task->ctx), 0, batch);
+    if (status == HG_OK) {
+        hg_hair_energy(task, task->ctx, task->model, batch, &task->subset, unweighted);
+        status = hg_ctx_status(task->ctx);
+    }
+    hg_step_reset(task->ctx);
+    hg_free(batch);
+    return status;
+}
+
 static hg_status create(hg_hair_task *task, const hg_config *config, const char *folder, const hg_progress *progress)
 {
     HG_TRY(take_config(task, config, folder));
@@ -511,6 +530,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .save = save,
                             .load = load,
                             .start = start };
+    HG_TRY(first_call(task));
     task->backend = hg_format("%s%s", hg_physics_backend_name(task->subset.physics),
                               task->compute == HG_BF16 ? ", products in bf16" : ""); /* outlives a subset drawn anew */
     task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
@@ -584,13 +604,22 @@ void hg_hair_task_destroy(hg_hair_task *task)
 
 hg_status hg_hair_task_open(hg_hair_task **out, hg_ctx *ctx, const char *run_folder, const hg_progress *progress)
 {
+    return hg_hair_task_open_with(out, ctx, run_folder, 0, NULL, progress);
+}
+
+hg_status hg_hair_task_open_with(hg_hair_task **out, hg_ctx *ctx, const char *run_folder, int n,
+                                 const char *const *overrides, const hg_progress *progress)
+{
     *out = NULL;
     char *config_path = hg_path_join(run_folder, "config.yaml"), *best = hg_path_join(run_folder, "best.h5");
     char *checkpoint = hg_path_join(run_folder, "checkpoint.h5");
     hg_config *config = NULL;
     hg_hair_task *task = NULL;
     hg_status status = config_path && best && checkpoint ? HG_OK : HG_MEMORY;
-    if (status == HG_OK) status = hg_hair_config_load(&config, config_path);
+    int n_rows;
+    const hg_config_row *rows = hg_hair_schema(&n_rows);
+    if (status == HG_OK)
+        status = rows ? hg_config_load_with(&config, config_path, rows, n_rows, overrides, n) : HG_MEMORY;
     const char *weights = status == HG_OK && hg_file_exists(best) ? best : checkpoint;
     if (status == HG_OK && !hg_file_exists(weights))
         status = hg_fail(HG_IO, "%s: no best.h5 and no checkpoint.h5: nothing has been trained here yet", run_folder);

@@ -85,6 +85,7 @@ hg_status hg_hair_materials_create(hg_hair_task *task)
     for (int t = 0; t < task->terms.n; t++) {
         const hg_energy *energy = task->terms.term[t].energy;
         snprintf(key, sizeof key, "losses.%s.learn", energy->name);
+        if (!energy->params[0].name) continue;
         for (int i = 0; i < hg_config_count(config, key); i++) {
             const char *name = hg_config_text_at(config, key, i);
             int k = 0;

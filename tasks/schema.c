@@ -149,10 +149,11 @@ static int energy_rows(const hg_energy *energy, hg_config_row *out)
                                 .value = "0",
                                 .unit = "1",
                                 .help = "times the energy; 1 when its section is written without it" };
-    out[n++] = (hg_config_row){ .key = hg_format("losses.%s.learn", energy->name),
-                                .type = HG_TEXTS,
-                                .value = "",
-                                .help = "parameters that are learnt, from the values given here" };
+    if (energy->params[0].name)
+        out[n++] = (hg_config_row){ .key = hg_format("losses.%s.learn", energy->name),
+                                    .type = HG_TEXTS,
+                                    .value = "",
+                                    .help = "parameters that are learnt, from the values given here" };
     for (int i = 0; i < HG_ENERGY_PARAMS && energy->params[i].name; i++) {
         const hg_energy_param *param = &energy->params[i];
         out[n++] = (hg_config_row){ .key = hg_format("losses.%s.%s", energy->name, param->name),

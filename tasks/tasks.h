@@ -36,6 +36,8 @@ hg_model *hg_hair_model(hg_hair_task *task);
 hg_train_options hg_hair_train_options(const hg_hair_task *task);
 /* From a run folder: config, checkpoint (best when there is one) and everything ready to drape. */
 hg_status hg_hair_task_open(hg_hair_task **task, hg_ctx *ctx, const char *run_folder, const hg_progress *progress);
+/* The same with values of its config replaced ("KEY=VALUE"): the same weights judged by other energies. */
+hg_status hg_hair_task_open_with(hg_hair_task **task, hg_ctx *ctx, const char *run_folder, int n, const char *const *overrides, const hg_progress *progress);
 const hg_groom *hg_hair_groom(const hg_hair_task *task);
 int hg_hair_grooms(const hg_hair_task *task);                     /* trained on; hg_hair_groom is the one that is draped */
 const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i);
