@@ -19,7 +19,11 @@ static hg_status check_strands(const check_job *job, const char *path)
     const char *unit_name = cli_value(job->arguments, "unit", "m");
     double unit = 1;
     int64_t frame = 0;
-    if (!reader) return HG_UNSUPPORTED;
+    if (!reader)
+        return hg_fail(HG_UNSUPPORTED,
+                       "%s: strands (of any format that hairgrad import groom reads), a recipe (.yaml), a body or a "
+                       "motion (.h5, once imported) can be checked",
+                       path);
     char *text = hg_format("1 %s", unit_name);
     if (!text) return HG_MEMORY;
     hg_status status = hg_unit_parse(text, "m", &unit);

@@ -162,6 +162,15 @@ hg_status scene_equal_vertices(const hg_curves *curves, const char *path, int64_
     return HG_OK;
 }
 
+hg_status scene_finite_strands(const hg_curves *curves, const char *path)
+{
+    for (int64_t s = 0; s < curves->strands; s++)
+        for (int64_t i = 3 * curves->start[s]; i < 3 * curves->start[s + 1]; i++)
+            if (!isfinite(curves->points[i]))
+                return hg_fail(HG_INVALID, "%s: strand %lld is not finite, which text cannot hold", path, (long long)s);
+    return HG_OK;
+}
+
 /* ---- units and axes ----------------------------------------------------------------------------------------- */
 
 void hg_curves_to_world(hg_curves *curves, double unit, bool z_up)

@@ -64,6 +64,9 @@ int64_t scene_strand_points(const float *points, int64_t n, double *out);
  * of equal strands. */
 hg_status scene_equal_vertices(const hg_curves *curves, const char *path, int64_t *vertices);
 
+/* An error that names the first strand that is not finite: for formats of text. */
+hg_status scene_finite_strands(const hg_curves *curves, const char *path);
+
 double scene_length(const float *points, int64_t vertices); /* of a strand, along it */
 
 hg_status scene_motion_allocate(hg_motion **motion, int64_t frames, int64_t joints, char *const *names, double rate);

@@ -1,10 +1,11 @@
 /* Wavefront .obj: one polyline (l) for a strand, one point (p) for a bald root. It is read by nearly every viewer. */
-#include "scene/scene.h"
+#include "scene/internal.h"
 
 static hg_status write_obj(const hg_curves *curves, const char *path, const char *variant)
 {
     hg_text text = { 0 };
     (void)variant;
+    HG_TRY(scene_finite_strands(curves, path));
     hg_text_add(&text, "# %lld strands, written by hairgrad\n", (long long)curves->strands);
     for (int64_t s = 0; s < curves->strands; s++) {
         int64_t first = curves->start[s], n = curves->start[s + 1] - first;

@@ -1,6 +1,6 @@
 /* PLY: element vertex, element strand with the number of segments of each, and element edge, so that viewers draw lines.
  * Root first. */
-#include "scene/scene.h"
+#include "scene/internal.h"
 
 #include <string.h>
 
@@ -65,6 +65,7 @@ static hg_status write_ply(const hg_curves *curves, const char *path, const char
 {
     bool ascii = strcmp(variant, "ascii") == 0;
     hg_text text = { 0 };
+    if (ascii) HG_TRY(scene_finite_strands(curves, path));
     hg_status status = header_write(curves, path, ascii, &text);
     if (status == HG_OK && ascii) {
         text_write(curves, &text);

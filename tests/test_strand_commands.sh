@@ -1,6 +1,6 @@
 #!/bin/sh
 # hairgrad convert and hairgrad check, through the program. $1 is the build folder.
-build=$1 source=${HG_SOURCE:-$(dirname "$0")/..} failed=0
+build=$1 source=${HG_SOURCE:-$(cd "$(dirname "$0")/.." && pwd)} failed=0
 work=$(mktemp -d) || exit 1
 trap 'rm -rf "$work"' EXIT
 export LD_LIBRARY_PATH="$build${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}" OMP_NUM_THREADS=2
@@ -77,6 +77,7 @@ same "a check writes nothing" before.list after.list
 printf 'scene: {groom: none.h5}\nlosses: {gravity: {}}\n' >bad.yaml
 says "a bad recipe" 1 '^error +file +line 1, scene.groom: none.h5: cannot be opened' "$program" check bad.yaml
 says "a truncated file" 1 'cut.hair: .*are there' sh -c "head -c 500 a.hair >cut.hair; '$program' check cut.hair"
+says "a file of no kind" 1 'x.bvh: strands .* a body or a motion \(.h5, once imported\)' "$program" check x.bvh
 says "as JSON" 1 '"severity": "error"' sh -c "'$program' check cut.hair --json >cut.json; status=\$?; cat cut.json; exit \$status"
 if command -v python3 >/dev/null 2>&1; then says "that can be parsed" 0 'cut.hair 1' python3 -c "import json; f = json.load(open('cut.json')); print(f['file'], f['errors'])"; fi
 "$program" check groom.h5 --json >groom.json

@@ -379,6 +379,14 @@ static void round_trips(void **state)
     assert_non_null(strstr(hg_message(), "no variant \"text\"; known are binary|ascii"));
     assert_int_equal(hg_curves_write(curves, small_path("x.hair"), "text"), HG_INVALID);
     assert_int_equal(hg_curves_write(curves, small_path("none/x.hair"), NULL), HG_IO);
+    float kept = curves->points[4];
+    curves->points[4] = NAN; /* bytes can hold it, text cannot */
+    ok(hg_curves_write(curves, small_path("nan.data"), NULL));
+    assert_int_equal(hg_curves_write(curves, small_path("nan.obj"), NULL), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "strand 1 is not finite"));
+    assert_int_equal(hg_curves_write(curves, small_path("nan.ply"), "ascii"), HG_INVALID);
+    ok(hg_curves_write(curves, small_path("nan.ply"), "binary"));
+    curves->points[4] = kept;
     hg_groom_report report;
     ok(hg_curves_clean(curves, &report));
     ok(hg_curves_resample(curves, 9));
