@@ -26,7 +26,8 @@ static void print_sweep(const hg_gradcheck_result *result)
 }
 
 /* One line: verdict, what was checked, the worst element, the best step of its sweep, kinks. */
-static void print_result(tally *count, const char *what, hg_status status, const hg_gradcheck_result *result)
+static void print_result(tally *count, const char *what, hg_status status, const hg_gradcheck_result *result,
+                         bool no_effect)
 {
     const bool good = status == HG_OK;
     *(good ? &count->passed : &count->failed) += 1;
@@ -36,6 +37,8 @@ static void print_result(tally *count, const char *what, hg_status status, const
         printf(" %s\n", result->text[0] != '\0' ? result->text : hg_message());
     else if (result->steps == 0)
         printf(" nothing to check\n");
+    else if (no_effect)
+        printf(" no effect here: the gradient is zero, and so are the differences");
     else
         printf(
             " %.1e   step %.0e   worst at %.*s", result->worst, result->step,
@@ -60,7 +63,7 @@ static void check_op(const hg_op *op, tally *count)
         hg_gradcheck_result result = { 0 };
         const hg_gradcheck_options options = { .tolerance = count->tolerance };
         hg_status status = hg_gradcheck_op(count->ctx, op, &op->samples[i], &options, &result);
-        print_result(count, op->samples[i].label != NULL ? op->samples[i].label : "", status, &result);
+        print_result(count, op->samples[i].label != NULL ? op->samples[i].label : "", status, &result, false);
         hg_step_reset(count->ctx);
         hg_ctx_clear(count->ctx);
     }
@@ -101,8 +104,10 @@ static void check_choice(const hg_energy *energy, const char *const *chosen, tal
             titled = true;
         }
         if (count->n_wrt > 0) count->wrt_known[w] = true;
-        for (int i = 0; i < n; i++) print_result(count, checks[i].name, checks[i].status, &checks[i].result);
-        if (n == 0 && status != HG_OK) print_result(count, "everything", status, &(hg_gradcheck_result){ .text = "" });
+        for (int i = 0; i < n; i++)
+            print_result(count, checks[i].name, checks[i].status, &checks[i].result, checks[i].no_effect);
+        if (n == 0 && status != HG_OK)
+            print_result(count, "everything", status, &(hg_gradcheck_result){ .text = "" }, false);
     }
 }
 

@@ -271,8 +271,8 @@ static hg_status create_physics(subject *of, const hg_energy_inputs *asks)
 }
 
 /* The check of one input with the frame and the physics at hand; x is checked where `wanted` is NULL. */
-static hg_status check_input(subject *of, const hg_energy_input *wanted, bool may_be_zero, hg_tensor *x,
-                             hg_gradcheck_result *result)
+static hg_status check_input(subject *of, const hg_energy_input *wanted, bool unknown, hg_tensor *x,
+                             hg_gradcheck_result *result, bool *no_effect)
 {
     hg_tensor *in[2] = { x, NULL };
     const hg_energy_input positions = { .name = "x", .shape = "[B,S,V,3]" };
@@ -282,7 +282,7 @@ static hg_status check_input(subject *of, const hg_energy_input *wanted, bool ma
     if (!(options.step > 0)) options.step = 1e-2;
     options.names = names;
     options.units = units;
-    options.zero_gradient |= may_be_zero;
+    options.zero_gradient |= !unknown;
     if (wanted) {
         bool there = false; /* brought to every check of this energy */
         for (int i = 0; i < of->frame.n_inputs; i++)
@@ -293,6 +293,14 @@ static hg_status check_input(subject *of, const hg_energy_input *wanted, bool ma
     hg_tensor *leaf = wanted ? in[1] : x;
     HG_TRY(hg_require_grad(leaf));
     const hg_status status = hg_gradcheck(of->ctx, energy_of, of, wanted ? 2 : 1, in, &options, result);
+    const hg_tensor *gradient = hg_grad(leaf);
+    *no_effect = gradient != NULL;
+    for (int64_t i = 0; *no_effect && i < hg_tensor_count(leaf); i++) *no_effect = hg_tensor_item(gradient, i) == 0;
+    if (*no_effect && status == HG_NUMERIC && !result->text[0])
+        snprintf(result->text, sizeof result->text,
+                 "the gradient in %s is zero everywhere, on hair that is bent, turned, moving and near a body: is it "
+                 "detached?",
+                 names[wanted != NULL]);
     if (result->text[0] && result->element >= 0) {
         char where[128];
         name_element(wanted ? wanted : &positions, result->element, where, sizeof where);
@@ -303,8 +311,8 @@ static hg_status check_input(subject *of, const hg_energy_input *wanted, bool ma
 }
 
 /* wanted: NULL for x. */
-static hg_status check_one(subject *of, const hg_energy_inputs *asks, const hg_energy_input *wanted, bool may_be_zero,
-                           hg_gradcheck_result *result)
+static hg_status check_one(subject *of, const hg_energy_inputs *asks, const hg_energy_input *wanted, bool unknown,
+                           hg_gradcheck_result *result, bool *no_effect)
 {
     *result = (hg_gradcheck_result){ 0 };
     of->frame = (hg_frame){ .dt = 1.0 / 30.0, .inputs = of->inputs };
@@ -329,7 +337,7 @@ static hg_status check_one(subject *of, const hg_energy_inputs *asks, const hg_e
             continue;
         if (!wanted || strcmp(wanted->name, input->name) != 0) status = bring(of, input, &other, &unit);
     }
-    if (status == HG_OK) status = check_input(of, wanted, may_be_zero, x, result);
+    if (status == HG_OK) status = check_input(of, wanted, unknown, x, result, no_effect);
     hg_physics_destroy(of->physics);
     hg_step_reset(of->ctx);
     for (int i = 0; i < of->n_tensors; i++) hg_tensor_destroy(of->tensors[i]);
@@ -352,13 +360,13 @@ typedef struct {
 
 /* shown: the name without the energy's. */
 static hg_status check_named(checking *c, const hg_energy_inputs *asks, const hg_energy_input *wanted,
-                             const char *shown, bool may_be_zero)
+                             const char *shown, bool unknown)
 {
     if (c->wrt && strcmp(c->wrt, shown) != 0) return HG_OK;
     hg_energy_check check = { .name = "" };
     c->known = true;
     snprintf(check.name, sizeof check.name, "%s", shown);
-    check.status = check_one(&c->of, asks, wanted, may_be_zero, &check.result);
+    check.status = check_one(&c->of, asks, wanted, unknown, &check.result, &check.no_effect);
     if (check.status != HG_OK) {
         if (!check.result.text[0]) snprintf(check.result.text, sizeof check.result.text, "%.250s", hg_message());
         if (c->status == HG_OK) {
@@ -386,23 +394,29 @@ static hg_status check_params(checking *c, const hg_energy_inputs *asks)
     return HG_OK;
 }
 
-static bool listed(const hg_energy_inputs *inputs, const char *name)
+/* What the energy is minimised over, and has to have an effect: the positions, or else the orientations or an array. */
+static const char *unknown_of(const hg_energy_inputs *asks)
 {
-    for (int i = 0; i < inputs->n; i++)
-        if (strcmp(inputs->input[i].name, name) == 0) return true;
-    return false;
+    const char *first = NULL;
+    for (int i = 0; i < asks->n; i++) {
+        const hg_energy_input *input = &asks->input[i];
+        if (strcmp(input->name, "x") == 0) return input->name;
+        if (strcmp(input->name, "q") == 0 || (!first && input->differentiable)) first = input->name;
+        if (first && strcmp(first, "rest") == 0 && input->shape[1] == 'B') first = input->name;
+    }
+    return first;
 }
 
-/* What an energy asks for only because the posed groom is made of it may have no effect: the root position of a direction. */
 static hg_status check_all(checking *c)
 {
     hg_energy_inputs asks, given;
     HG_TRY(hg_energy_asks(c->of.energy, c->of.options, false, &asks));
     HG_TRY(hg_energy_asks(c->of.energy, c->of.options, true, &given));
+    const char *unknown = unknown_of(&asks);
     for (int i = 0; i < asks.n; i++)
         if (asks.input[i].differentiable)
             HG_TRY(check_named(c, &asks, strcmp(asks.input[i].name, "x") == 0 ? NULL : &asks.input[i],
-                               asks.input[i].name, !listed(&given, asks.input[i].name)));
+                               asks.input[i].name, strcmp(asks.input[i].name, unknown) == 0));
     for (int i = 0; i < given.n; i++)
         if (strcmp(given.input[i].name, "posed") == 0) HG_TRY(check_named(c, &given, &given.input[i], "posed", false));
     HG_TRY(check_params(c, &asks));

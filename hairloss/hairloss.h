@@ -83,7 +83,10 @@ hg_status hg_energy_asks(const hg_energy *energy, const char *const *options, bo
  * asks for, params included, one after another. wrt: one of them by name, NULL: all. checks (may be NULL) gets each. The
  * status is that of the first that fails, and the message names energy, input, frame, strand and vertex. Resets the step. */
 #define HG_ENERGY_CHECKS (HG_ENERGY_INPUTS + HG_ENERGY_PARAMS)
-typedef struct { char name[64]; hg_status status; hg_gradcheck_result result; } hg_energy_check;
+typedef struct {
+    char name[64]; hg_status status; hg_gradcheck_result result;
+    bool no_effect;                                /* gradient and differences are zero: right, and nothing was learnt. Of an unknown (x, q, ..) it is an error */
+} hg_energy_check;
 hg_status hg_energy_gradcheck(hg_ctx *ctx, const hg_energy *energy, const char *const *options, const char *wrt, const hg_gradcheck_options *how,
                               hg_energy_check checks[HG_ENERGY_CHECKS], int *n);
 

@@ -24,6 +24,8 @@ says "all ops and energies" '^[0-9]+ right, 0 wrong' "$hairgrad" gradcheck
 for input in 'energy cosserat_bend_twist' 'energy integrity curve=softening' 'energy hair_style surface=scalp'; do
     grep -q "^$input" log && ok "$input" || wrong "$input"
 done
+# the root position of a direction, and nothing else
+[ "$(awk '/^energy / { energy = $2 } /no effect/ { printf "%s.%s ", energy, $2 }' log)" = "shear.root_position " ] && ok "everything has an effect" || wrong "everything has an effect"
 says "place of the worst" 'ok +x +[0-9.e-]+ +step 1e-[0-9]+ +worst at x: frame [01], strand [0-5], vertex [0-6], [xyz]' "$hairgrad" gradcheck stretch
 says "only one input" '^1 right, 0 wrong' "$hairgrad" gradcheck stretch --wrt rest
 says "one choice" '^2 right, 0 wrong' "$hairgrad" gradcheck bend_twist --set strain=smooth --set root=free --wrt x,stiffness
@@ -41,12 +43,15 @@ static scalar half(void) { scalar l = norm(sub(x(1), x(0))); return mul(param("k
 HG_ENERGY(half, .equation = "k l^2", .source = "test", .site = window(2), .params = { { "k", 1, "N/m", "spring" } });
 static scalar forgotten(void) { return mul(detach(param("k")), square(x(0))); }
 HG_ENERGY(forgotten, .equation = "k x^2", .source = "test", .site = window(1), .params = { { "k", 1, "N/m", "spring" } });
+static scalar still(void) { return square(detach(x(0))); }
+HG_ENERGY(still, .equation = "[x]^2", .source = "test", .site = window(1));
 END
 # shellcheck disable=SC2046
 if ${HAIRGRAD_TEST_CC:-cc} -shared -fPIC $("$hairgrad" flags) own.c -o own.so >log 2>&1; then ok "a plug-in"; else wrong "a plug-in"; exit 1; fi
 refuses "half a gradient" 'WRONG x +x: frame [01], strand [0-5], vertex [0-6], [xyz]: analytic' "$hairgrad" --plugin ./own.so gradcheck half
 grep -q '^1 right, 1 wrong' log && ok "and the right one beside it" || wrong "and the right one beside it"
-refuses "a gradient of zeros" 'WRONG k +gradcheck: the gradient of forgotten.k is zero everywhere' "$hairgrad" --plugin ./own.so gradcheck forgotten
+refuses "a gradient of zeros" 'WRONG k +forgotten.k: frame [01], strand [0-5]: analytic 0, numeric' "$hairgrad" --plugin ./own.so gradcheck forgotten
+refuses "no gradient in x" 'WRONG x +the gradient in x is zero everywhere' "$hairgrad" --plugin ./own.so gradcheck still
 
 says "table" '^bend_twist_chain +scan 3 +stiffness = 1e-08 N\*m\^2; strain: published\|smooth; root: free\|clamped' "$hairgrad" losses
 grep -q 'reads x, posed, body_distance (surface=body), scalp_distance (surface=scalp)' log && ok "what they read" || wrong "what they read"
