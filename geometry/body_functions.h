@@ -333,12 +333,25 @@ static void HG_B(meet)(const hg_body_refit *refit, HG_VEC3 p, int32_t face, hg_r
     found->tied[found->n++].distance2 = distance2;
 }
 
+/* The triangles of a leaf that are within found->bound are met. */
+static void HG_B(open_leaf)(const hg_body_refit *refit, HG_VEC3 p, int32_t index, bool second, HG_B(found) * found)
+{
+    const hg_body_tree *tree = refit->tree;
+    _Alignas(64) hg_real distance2[HG_BODY_LANES];
+    HG_B(leaf_distances)((const HG_B(leaf) *)refit->leaves + index, p, distance2);
+    for (uint32_t hit = HG_B(lanes_within)(distance2, found->bound); hit; hit &= hit - 1) {
+        int lane = __builtin_ctz(hit);
+        int64_t place = (int64_t)index * HG_BODY_LANES + lane;
+        if (distance2[lane] <= found->bound && place < tree->n_faces)
+            HG_B(meet)(refit, p, tree->order[place], distance2[lane], second, found);
+    }
+}
+
 /* Nearest boxes first; everything within found->bound is met. */
 static void HG_B(search)(const hg_body_refit *refit, HG_VEC3 p, bool second, HG_B(found) * found)
 {
     const hg_body_tree *tree = refit->tree;
     const HG_B(node) *nodes = refit->nodes;
-    const HG_B(leaf) *leaves = refit->leaves;
     struct {
         int32_t level, index; /* level 0 is the leaves */
         hg_real distance2;
@@ -353,13 +366,7 @@ static void HG_B(search)(const hg_body_refit *refit, HG_VEC3 p, bool second, HG_
         if (stack[top].distance2 > found->bound) continue;
         int32_t level = stack[top].level, index = stack[top].index;
         if (level == 0) {
-            HG_B(leaf_distances)(leaves + index, p, distance2);
-            for (uint32_t hit = HG_B(lanes_within)(distance2, found->bound); hit; hit &= hit - 1) {
-                int lane = __builtin_ctz(hit);
-                int64_t place = (int64_t)index * HG_BODY_LANES + lane;
-                if (distance2[lane] <= found->bound && place < tree->n_faces)
-                    HG_B(meet)(refit, p, tree->order[place], distance2[lane], second, found);
-            }
+            HG_B(open_leaf)(refit, p, index, second, found);
             continue;
         }
         HG_B(box_distances)(nodes + tree->level_start[level - 1] + index, p, distance2);
@@ -374,18 +381,129 @@ static void HG_B(search)(const hg_body_refit *refit, HG_VEC3 p, bool second, HG_
     }
 }
 
-/* The triangle that the rule of hg_body_closest names among all within sqrt(bound) of p; -1 when there is none. */
-static int32_t HG_B(nearest)(const hg_body_refit *refit, HG_VEC3 p, hg_real bound)
+/* The leaves near some points in a row, which mostly lie along a strand: their searches start here and not at the root. */
+typedef struct {
+    HG_B(node) boxes;
+    int32_t leaf[HG_BODY_LANES];
+    int n; /* -1: too many */
+} HG_B(around);
+
+/* Points from `first` on that follow each other closely, a few at most: the number of the one behind them. */
+static int64_t HG_B(group)(int64_t first, int64_t last, const hg_real *points)
 {
+    enum { MOST = 8 };
+    int64_t end = first + 1;
+    for (; end < last && end < first + MOST; end++)
+        if (!(HG_V(distance)(HG_V(load)(points + 3 * end), HG_V(load)(points + 3 * end - 3)) <= (hg_real)HG_BODY_JUMP))
+            break;
+    return end;
+}
+
+/* All leaves within sqrt(within2) of the box of n points, which are finite but for the first, and of one more. */
+static void HG_B(look_around)(const hg_body_refit *refit, const HG_VEC3 *more, int64_t n, const hg_real *points,
+                              hg_real within2, HG_B(around) * around)
+{
+    const hg_body_tree *tree = refit->tree;
+    hg_real lo[3] = { (hg_real)INFINITY, (hg_real)INFINITY, (hg_real)INFINITY },
+            hi[3] = { -(hg_real)INFINITY, -(hg_real)INFINITY, -(hg_real)INFINITY };
+    for (int64_t i = 0; i < n; i++) {
+        if (!HG_V(finite)(HG_V(load)(points + 3 * i))) continue;
+        for (int k = 0; k < 3; k++) {
+            lo[k] = points[3 * i + k] < lo[k] ? points[3 * i + k] : lo[k];
+            hi[k] = points[3 * i + k] > hi[k] ? points[3 * i + k] : hi[k];
+        }
+    }
+    if (more) {
+        const hg_real extra[3] = { more->x, more->y, more->z };
+        for (int k = 0; k < 3; k++) {
+            lo[k] = extra[k] < lo[k] ? extra[k] : lo[k];
+            hi[k] = extra[k] > hi[k] ? extra[k] : hi[k];
+        }
+    }
+    around->n = 0;
+    for (int k = 0; k < 3; k++)
+        for (int l = 0; l < HG_BODY_LANES; l++) {
+            around->boxes.lo[k][l] = (hg_real)INFINITY;
+            around->boxes.hi[k][l] = -(hg_real)INFINITY;
+        }
+    struct {
+        int32_t level, index;
+    } stack[HG_BODY_LEVELS * HG_BODY_LANES];
+    int top = 0;
+    stack[top].level = tree->levels;
+    stack[top++].index = 0;
+    _Alignas(64) hg_real distance2[HG_BODY_LANES];
+    while (top > 0) {
+        const int32_t level = stack[--top].level, index = stack[top].index;
+        const HG_B(node) *node = (const HG_B(node) *)refit->nodes + tree->level_start[level - 1] + index;
+        for (int l = 0; l < HG_BODY_LANES; l++) {
+            hg_real sum = 0;
+            for (int k = 0; k < 3; k++) {
+                const hg_real below = node->lo[k][l] - hi[k], above = lo[k] - node->hi[k][l];
+                hg_real gap = below > above ? below : above;
+                gap = gap > 0 ? gap : 0;
+                sum += gap * gap;
+            }
+            distance2[l] = sum;
+        }
+        for (uint32_t hit = HG_B(lanes_within)(distance2, within2); hit; hit &= hit - 1) {
+            const int lane = __builtin_ctz(hit);
+            if (level > 1) {
+                stack[top].level = level - 1;
+                stack[top++].index = index * HG_BODY_LANES + lane;
+                continue;
+            }
+            if (around->n == HG_BODY_LANES) {
+                around->n = -1;
+                return;
+            }
+            for (int k = 0; k < 3; k++) {
+                around->boxes.lo[k][around->n] = node->lo[k][lane];
+                around->boxes.hi[k][around->n] = node->hi[k][lane];
+            }
+            around->leaf[around->n++] = index * HG_BODY_LANES + lane;
+        }
+    }
+}
+
+/* search among them: nearest boxes first */
+static void HG_B(search_around)(const hg_body_refit *refit, HG_VEC3 p, const HG_B(around) * around, bool second,
+                                HG_B(found) * found)
+{
+    _Alignas(64) hg_real distance2[HG_BODY_LANES];
+    HG_B(box_distances)(&around->boxes, p, distance2);
+    int8_t order[HG_BODY_LANES];
+    int n = 0;
+    for (uint32_t hit = HG_B(lanes_within)(distance2, found->bound); hit; hit &= hit - 1) {
+        const int lane = __builtin_ctz(hit);
+        int at = n++;
+        for (; at > 0 && distance2[order[at - 1]] > distance2[lane]; at--) order[at] = order[at - 1];
+        order[at] = (int8_t)lane;
+    }
+    for (int i = 0; i < n && distance2[order[i]] <= found->bound; i++)
+        HG_B(open_leaf)(refit, p, around->leaf[order[i]], second, found);
+}
+
+/* The triangle that the rule of hg_body_closest names among all within sqrt(bound) of p; -1 when there is none. around:
+ * leaves that hold all of these, NULL: not known. */
+static int32_t HG_B(nearest)(const hg_body_refit *refit, HG_VEC3 p, hg_real bound, const HG_B(around) * around)
+{
+    const bool known = around && around->n >= 0;
     HG_B(found) found;
     found.best = found.bound = bound;
     found.n = 0;
     found.full = false;
     found.winner = -1;
     found.height = 0;
-    HG_B(search)(refit, p, false, &found);
+    if (known)
+        HG_B(search_around)(refit, p, around, false, &found);
+    else
+        HG_B(search)(refit, p, false, &found);
     if (found.full) {
-        HG_B(search)(refit, p, true, &found);
+        if (known)
+            HG_B(search_around)(refit, p, around, true, &found);
+        else
+            HG_B(search)(refit, p, true, &found);
         return found.winner;
     }
     /* Usually one is left. */
@@ -424,6 +542,10 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
     int32_t before = -1; /* the last point's triangle: a guess where there is no other */
     HG_VEC3 free_at = { 0, 0, 0 };
     hg_real free_radius = 0; /* no triangle is nearer than this to free_at, which is outside */
+    const bool bounded = query->reach < 1;
+    HG_B(around) around;
+    int64_t group_end = first;  /* where the points end whose surroundings these are */
+    bool group_outside = false; /* nothing is within reach of their box, and one of them is outside: all are */
     for (int64_t i = first; i < last; i++) {
         HG_VEC3 p = HG_V(load)(query->points + 3 * i), zero = { 0, 0, 0 };
         int32_t guess = query->triangle[i] >= 0 && query->triangle[i] < tree->n_faces ? query->triangle[i] : before;
@@ -433,11 +555,20 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
             HG_V(store)(query->contact_normal + 3 * i, zero);
             continue;
         }
+        if (bounded && i >= group_end) {
+            const bool joined = i > first && free_radius > 0 && HG_V(distance)(p, free_at) <= (hg_real)HG_BODY_JUMP;
+            group_end = HG_B(group)(i, last, query->points);
+            HG_B(look_around)(refit, joined ? &free_at : NULL, group_end - i, query->points + 3 * i, within, &around);
+            group_outside = joined && around.n == 0;
+        }
         /* Along a strand the free ball around the last point often holds this one: then it is outside, too. */
         hg_real free_here = (free_radius - HG_V(distance)(p, free_at)) * (hg_real)(1.0 - 1e-5);
+        if (group_outside) free_here = 2 * (reach + (hg_real)HG_BODY_TIE);
         int32_t face = -1;
         bool far = free_here > reach + (hg_real)HG_BODY_TIE;
+        if (group_outside) free_here = reach;
         if (!far) {
+            const HG_B(around) *near = bounded ? &around : NULL;
             hg_real bound = (hg_real)HG_BODY_FAR;
             if (guess >= 0) {
                 bound = HG_B(tie_bound)(HG_B(guess_distance2)(refit, p, guess));
@@ -450,13 +581,13 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
                 for (int l = 1; l < HG_BODY_LANES; l++) box2 = distance2[l] < box2 ? distance2[l] : box2;
                 far = box2 > within;
                 if (!far && free_here > 0) {
-                    face = HG_B(nearest)(refit, p, within);
+                    face = HG_B(nearest)(refit, p, within, near);
                     far = face < 0;
                 }
                 free_here = reach;
             }
-            if (!far && face < 0) face = HG_B(nearest)(refit, p, bound);
-            if (!far && face < 0) face = HG_B(nearest)(refit, p, (hg_real)HG_BODY_FAR);
+            if (!far && face < 0) face = HG_B(nearest)(refit, p, bound, bound <= within ? near : NULL);
+            if (!far && face < 0) face = HG_B(nearest)(refit, p, (hg_real)HG_BODY_FAR, NULL);
         }
         hg_vec3d at = HG_B(widen)(p), normal = { 0.0, 1.0, 0.0 }, point = at;
         if (face >= 0) {
@@ -473,6 +604,7 @@ static void HG_B(closest)(const void *args, int64_t first, int64_t last)
         }
         free_at = p;
         free_radius = free_here;
+        group_outside = bounded && around.n == 0 && free_here > 0;
         query->triangle[i] = face;
         HG_V(store)(query->contact_point + 3 * i, HG_B(narrow)(point));
         HG_V(store)(query->contact_normal + 3 * i, HG_B(narrow)(normal));

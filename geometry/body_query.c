@@ -14,6 +14,7 @@
 #endif
 
 #define HG_BODY_FAR  1e36 /* squared distance beyond which nothing is found: finite also in float */
+#define HG_BODY_JUMP 0.03 /* m: points that follow each other farther apart are of different strands */
 #define HG_BODY_TIES 32   /* more than this many tied triangles take a second search */
 
 struct hg_body_refit {
