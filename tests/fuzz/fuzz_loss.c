@@ -11,7 +11,8 @@ enum { B = 2, S = 3, V = 5, N = 4, most = 64 };
 
 int fuzz_one(const uint8_t *data, size_t size)
 {
-    static int turn;
+    static int turns;
+    const int turn = turns++;
     const char *names[most];
     const int n = hg_list("energy", names, most);
     char *path = hg_strdup(fuzz_file(data, size, "h5")), *out = hg_format("%s.out", path ? path : "");
@@ -19,7 +20,7 @@ int fuzz_one(const uint8_t *data, size_t size)
     if (path && out && hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 1 }) == HG_OK) {
         hg_loss_result result;
         hg_text report = { 0 };
-        const hg_loss_options options = { .energies = names[turn++ % (n < most ? n : most)],
+        const hg_loss_options options = { .energies = names[turn % (n < most ? n : most)],
                                           .dtype = turn % 3 ? HG_F64 : HG_F32,
                                           .wrt = turn % 2 ? "x" : "stiffness" };
         hg_loss_run(ctx, path, out, &options, &result);
