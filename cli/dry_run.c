@@ -45,6 +45,17 @@ static void tell_network(hg_hair_task *task)
     }
 }
 
+static void tell_materials(const hg_hair_task *task)
+{
+    for (int i = 0; i < hg_hair_materials(task); i++) {
+        const char *name, *unit;
+        double range[2], value;
+        if (hg_hair_material_at(task, i, &name, &unit, range, &value) == HG_OK)
+            printf("%-12s%s  %g to %g %s, %g when nothing is said\n", i ? "" : "materials", name, range[0], range[1],
+                   unit ? unit : "", value);
+    }
+}
+
 static void tell_energies(hg_hair_task *task)
 {
     const hg_physics *physics = hg_hair_physics(task);
@@ -79,6 +90,7 @@ hg_status cli_dry_run(hg_ctx *ctx, hg_hair_task *task, const hg_progress *progre
     cli_progress_end();
     tell_scene(task);
     tell_network(task);
+    tell_materials(task);
     tell_energies(task);
     const double step = both.seconds / 2;
     printf("memory      %.0f MB for a step\n", (double)hg_step_high_water(ctx) / 1e6);

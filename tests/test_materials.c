@@ -209,6 +209,57 @@ static void a_parameter_is_learnt(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* A stiffness per strand on the tape, with something that holds against it: E(k) - sum_s c_s log k_s is smallest where
+ * k_s = c_s / (E_s at k = 1), which is known without learning. */
+static void a_stiffness_per_strand_is_learnt(void **state)
+{
+    (void)state;
+    enum { S = 7, V = 6 };
+    hg_ctx *ctx = NULL;
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), HG_OK);
+    double rest[S * V * 3];
+    hg_tensor *x = hg_tensor_create(ctx, HG_F32, 4, (int64_t[]){ 1, S, V, 3 });
+    for (int i = 0; i < S * V * 3; i++) {
+        rest[i] = 0.01 * (i % (V * 3) / 3) * (i % 3 == 1) + 0.002 * hg_random_normal(1, 2, (uint64_t)i);
+        ((float *)x->data)[i] = (float)(rest[i] + 0.001 * hg_random_normal(1, 3, (uint64_t)i));
+    }
+    const hg_term term = { hg_energy_find("bend_twist"), 1, (const double[]){ 1 }, NULL };
+    const hg_groom_data data = { .grooms = 1, .strands = S, .vertices = V, .rest = rest };
+    hg_physics *physics = NULL;
+    assert_int_equal(hg_physics_create(&physics, ctx, HG_F32, &term, 1, &data), HG_OK);
+    double energy[S];
+    assert_int_equal(hg_physics_evaluate(physics, ctx, &(hg_frame){ 0 }, x, NULL, energy, NULL), HG_OK);
+
+    hg_tensor *theta = hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ S });
+    hg_tensor *pull = hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ S });
+    for (int s = 0; s < S; s++) ((float *)pull->data)[s] = (float)(energy[s] * 1e-8 * (1 + s)); /* k_s = 1e-8 (1 + s) */
+    double scale = 0;
+    for (int s = 0; s < S; s++) scale = fmax(scale, energy[s] * 1e-8);
+    assert_int_equal(hg_require_grad(theta), HG_OK);
+    hg_adam *adam = NULL;
+    assert_int_equal(hg_adam_create(&adam, ctx, 1, &theta), HG_OK);
+    for (int step = 0; step < 1500; step++) {
+        hg_step_reset(ctx);
+        const hg_frame_input input = { "bend_twist.stiffness", hg_scale(ctx, hg_exp(ctx, theta), 3e-8, 0) };
+        const hg_frame frame = { .inputs = &input, .n_inputs = 1 };
+        hg_tensor *loss =
+            hg_sub(ctx, hg_physics_energy(physics, ctx, &frame, x, NULL), hg_sum(ctx, hg_mul(ctx, pull, theta)));
+        if (hg_backward(ctx, hg_scale(ctx, loss, 1 / scale, 0)) != HG_OK) fail_msg("%s", hg_message());
+        assert_int_equal(hg_adam_step(adam, step < 1000 ? 2e-2 : 1e-3, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_OK);
+    }
+    for (int s = 0; s < S; s++) {
+        const double learnt = 3e-8 * exp(hg_tensor_item(theta, s)), expected = 1e-8 * (1 + s);
+        if (!(fabs(learnt - expected) < 2e-3 * expected)) fail_msg("strand %d: %g, expected %g", s, learnt, expected);
+    }
+    hg_step_reset(ctx);
+    hg_adam_destroy(adam);
+    hg_tensor_destroy(theta);
+    hg_tensor_destroy(pull);
+    hg_tensor_destroy(x);
+    hg_physics_destroy(physics);
+    hg_ctx_destroy(ctx);
+}
+
 static void wrong_materials_are_refused(void **state)
 {
     (void)state;
@@ -268,6 +319,7 @@ int main(void)
         cmocka_unit_test(a_parameter_is_learnt),
         cmocka_unit_test(wrong_materials_are_refused),
         cmocka_unit_test(bf16_compute),
+        cmocka_unit_test(a_stiffness_per_strand_is_learnt),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
 }
