@@ -301,12 +301,14 @@ static hg_status check_input(subject *of, const hg_energy_input *wanted, bool un
                  "the gradient in %s is zero everywhere, on hair that is bent, turned, moving and near a body: is it "
                  "detached?",
                  names[wanted != NULL]);
-    if (result->text[0] && result->element >= 0) {
-        char where[128];
-        name_element(wanted ? wanted : &positions, result->element, where, sizeof where);
+    char where[128];
+    name_element(wanted ? wanted : &positions, result->element > 0 ? result->element : 0, where, sizeof where);
+    if (result->steps > 0 && result->element >= 0)
         snprintf(result->text, sizeof result->text, "%s: analytic %.12g, numeric %.12g (step %g), relative error %.3g",
                  where, result->analytic, result->numeric, result->step, result->worst);
-    }
+    else if (status == HG_NUMERIC && gradient != NULL && !result->text[0] && result->element >= 0 &&
+             !isfinite(hg_tensor_item(gradient, result->element)))
+        snprintf(result->text, sizeof result->text, "%s: the gradient is not finite", where);
     return status;
 }
 
