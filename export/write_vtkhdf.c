@@ -4,8 +4,12 @@
 static hg_status write_vtkhdf(const hg_curves *curves, const char *path, const char *variant)
 {
     hg_vtkhdf *file;
+    int64_t strands = curves->strands, vertices = curves->start[1];
+    bool equal = vertices > 0; /* then it is a drape of one frame, which hairgrad render draws too */
     (void)variant;
-    HG_TRY(hg_vtkhdf_create_polylines(&file, path, 1, curves->strands, curves->start, 1));
+    for (int64_t s = 0; s <= strands && equal; s++) equal = curves->start[s] == s * vertices;
+    HG_TRY(equal ? hg_vtkhdf_create_strands(&file, path, 1, strands, vertices, 1)
+                 : hg_vtkhdf_create_polylines(&file, path, 1, strands, curves->start, 1));
     hg_status status = hg_vtkhdf_add(file, curves->points);
     if (status == HG_OK) return hg_vtkhdf_commit(file);
     hg_vtkhdf_discard(file);

@@ -159,7 +159,7 @@ static void say_up(hg_findings *findings, const measures *m)
     else if (axis == 1 && m->reach[1] < 0)
         hg_findings_add(findings, HG_FINE, "up", "+Y: strands hang along -Y");
     else
-        hg_findings_add(findings, HG_WARNING, "up", "strands hang along %c%c, +Y up is expected%s",
+        hg_findings_add(findings, HG_WARNING, "up", "strands point along %c%c; with +Y up they would hang along -Y%s",
                         m->reach[axis] < 0 ? '-' : '+', "XYZ"[axis],
                         axis == 2 && m->reach[2] < 0 ? ": it looks like +Z up (--up z)" : "");
 }

@@ -107,7 +107,8 @@ static void axes_are_doubted(void **state)
     hg_curves *curves = hair(60);
     hg_curves_from_world(curves, 1, true);
     ok(hg_check_groom(context(), &findings, curves, NULL, NULL));
-    found(&findings, HG_WARNING, "up", "strands hang along -Z, +Y up is expected: it looks like +Z up (--up z)");
+    found(&findings, HG_WARNING, "up",
+          "strands point along -Z; with +Y up they would hang along -Y: it looks like +Z up (--up z)");
     hg_findings_free(&findings);
     hg_curves_destroy(curves);
 }

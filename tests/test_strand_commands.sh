@@ -39,6 +39,7 @@ says "and back" 0 'in m, \+Y up' "$program" convert z.hair z2.hair --up z --unit
 says "fewer strands" 0 'w.data: 20 strands, 320 vertices' "$program" convert a.hair w.data --every 3
 says "so many strands" 0 'w.data: 7 strands, 49 vertices' "$program" convert a.hair w.data --strands 7 --vertices 7 --force
 says "a frame" 0 'p.hair: 60 strands' "$program" convert posed.h5 p.hair --frame 3
+says "strands as a drape of one frame" 0 'pixels' "$program" render h.vtkhdf --size 60x70 -o h.png
 says "a groom stays bound" 0 '20 strands' "$program" convert groom.h5 third.h5 --every 3
 says "as info says" 0 'bound_roots +20' "$program" info third.h5
 
