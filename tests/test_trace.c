@@ -327,6 +327,46 @@ static void test_rates(void **state)
     hg_strand_program_destroy(plain);
 }
 
+/* What is carried of rest data alone is made once per groom; what is given is not hoisted. */
+static scalar i_carried(void)
+{
+    scalar along = carry("along", hg_trace_number(0)), late = carry("late", mul(param("a"), along));
+    keep("along", add(along, norm(sub(rest(1), rest(0)))));
+    keep("late", add(late, dot(x(0), x(1))));
+    return mul(param("b"), square(sub(late, along)));
+}
+
+static void test_carried(void **state)
+{
+    (void)state;
+    const hg_strand_term term = {
+        { .name = "carried", .allowed = HG_ALLOW_WINDOW, .window = 2, .n_params = 2, .params = { "a", "b" } },
+        i_carried,
+        NULL
+    };
+    const hg_given given[] = { { .kind = HG_INPUT_REST, .gradient = true }, { .kind = HG_INPUT_PARAM, .param = 1 } };
+    hg_strand_program *p[3];
+    for (int n = 0; n < 3; n++)
+        assert_int_equal(hg_strand_program_create(&p[n], HG_F64, 1, &term, n, given, true), HG_OK);
+    assert_int_equal(p[0]->n_carry, 1); /* late */
+    assert_int_equal(p[0]->n_rest_carry, 1);
+    assert_int_equal(p[0]->n_site, 1); /* along */
+    assert_int_equal(p[0]->bodies, 3); /* the first site has one of its own */
+    assert_int_equal(p[0]->n_arrays, 1);
+    assert_int_equal(p[0]->forward[0].n, 0);
+    assert_true(p[0]->forward[2].n < p[0]->body[2].n);
+    assert_int_equal(p[1]->n_carry, 2);
+    assert_int_equal(p[1]->n_rest_carry, 0);
+    assert_int_equal(p[1]->n_site, 0);
+    assert_int_equal(p[1]->n_arrays, 2);
+    assert_true(p[1]->arrays[1].kind == HG_INPUT_REST && p[1]->arrays[1].rest && p[1]->arrays[1].gradient);
+    assert_int_equal(p[1]->n_inputs, 2); /* the root's rotation and position */
+    assert_int_equal(p[2]->n_inputs, 3);
+    assert_false(p[2]->inputs[2].gradient);
+    for (int n = 0; n < 3; n++) assert_true(p[n]->hash != p[(n + 1) % 3]->hash);
+    for (int n = 0; n < 3; n++) hg_strand_program_destroy(p[n]);
+}
+
 /* ---- vectors and quaternions ------------------------------------------------------------------------------------ */
 
 static hg_quat some_quaternion(void) { return quaternion(0.8, vector(A, B, mul(0.5, C))); }
@@ -457,9 +497,9 @@ static void test_attributes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_operations), cmocka_unit_test(test_lanes),      cmocka_unit_test(test_branches),
-        cmocka_unit_test(test_folding),    cmocka_unit_test(test_rates),      cmocka_unit_test(test_vectors),
-        cmocka_unit_test(test_messages),   cmocka_unit_test(test_attributes),
+        cmocka_unit_test(test_operations), cmocka_unit_test(test_lanes),    cmocka_unit_test(test_branches),
+        cmocka_unit_test(test_folding),    cmocka_unit_test(test_rates),    cmocka_unit_test(test_carried),
+        cmocka_unit_test(test_vectors),    cmocka_unit_test(test_messages), cmocka_unit_test(test_attributes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
