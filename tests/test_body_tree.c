@@ -236,6 +236,62 @@ static void check_body(hg_ctx *ctx, const hg_body_tree *tree, const mesh *m, dou
     free(points);
 }
 
+/* Points along strands that go in and out of a closed body, with a reach: what is near, or inside, is what the plain loop
+ * finds; what is left out is outside and beyond the reach. */
+static void test_strands_with_reach(void **state)
+{
+    (void)state;
+    enum { STRANDS = 60, VERTICES = 25, N = STRANDS * VERTICES };
+    hg_ctx *ctx = make_ctx(2);
+    mesh m = bumpy_sphere(24, 30, 0.2);
+    hg_body_tree *tree = NULL;
+    assert_int_equal(hg_body_tree_create(&tree, m.n_vertices, m.vertices, m.n_faces, m.faces), HG_OK);
+    double *points = calloc(3 * N, sizeof *points);
+    assert_non_null(points);
+    for (int64_t s = 0; s < STRANDS; s++) {
+        const double *root = m.vertices + 3 * hg_random_below(SEED, 21, (uint64_t)s, (uint64_t)m.n_vertices);
+        const double step = s % 3 ? 0.004 : 0.02, out = s % 4 ? 0.6 : -0.6; /* some go inwards */
+        for (int v = 0; v < VERTICES; v++)
+            for (int k = 0; k < 3; k++) {
+                double *x = points + 3 * (s * VERTICES + v) + k;
+                *x = v == 0 ? root[k]
+                            : x[-3] + step * (out * root[k] / 0.2 +
+                                              hg_random_normal(SEED, 22 + (uint64_t)k, (uint64_t)(s * VERTICES + v)));
+            }
+    }
+    points[3 * 777] = (double)NAN;
+    contacts got = contacts_make(N), want = contacts_make(N);
+    for (int64_t i = 0; i < N; i++)
+        if (i != 777)
+            hg_body_closest_brute(m.n_vertices, m.vertices, m.n_faces, m.faces, HG_CONTACT_EXACT, points + 3 * i,
+                                  want.triangle + i, want.point + 3 * i, want.normal + 3 * i);
+    const double reaches[] = { 0.0, 0.002, 0.01, 0.05, 0.5 };
+    for (size_t r = 0; r < sizeof reaches / sizeof *reaches; r++)
+        for (int again = 0; again < 2; again++) { /* the second time with guesses */
+            int64_t left_out = 0;
+            query(ctx, tree, HG_F64, &m, HG_CONTACT_EXACT, reaches[r], N, points, &got);
+            for (int64_t i = 0; i < N; i++) {
+                if (i == 777) continue;
+                const double distance = signed_distance(&want, i, points);
+                left_out += got.triangle[i] < 0;
+                if (got.triangle[i] < 0 && !(distance > reaches[r] - 1e-12))
+                    fail_msg("reach %g: point %lld is at %g and was left out", reaches[r], (long long)i, distance);
+                if (got.triangle[i] >= 0 && got.triangle[i] != want.triangle[i])
+                    fail_msg("reach %g: point %lld: triangle %d, not %d", reaches[r], (long long)i, got.triangle[i],
+                             want.triangle[i]);
+                if (got.triangle[i] >= 0) assert_true(fabs(signed_distance(&got, i, points) - distance) < 1e-12);
+            }
+            assert_int_equal(got.triangle[777], -1);
+            assert_true(reaches[r] > 0.1 ? left_out < N : left_out > N / 20);
+        }
+    contacts_free(&got);
+    contacts_free(&want);
+    free(points);
+    hg_body_tree_destroy(tree);
+    mesh_free(&m);
+    hg_ctx_destroy(ctx);
+}
+
 static void test_closest_and_refit(void **state)
 {
     (void)state;
@@ -478,6 +534,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_closest_and_refit),
+        cmocka_unit_test(test_strands_with_reach),
         cmocka_unit_test(test_soup),
         cmocka_unit_test(test_sign),
         cmocka_unit_test(test_ties),
