@@ -5,7 +5,8 @@
  * arms and legs it takes the body's bone to the clip's by the smallest rotation, after what the bone above has turned:
  * O_j = minarc(O_parent b_j -> d_j) O_parent. Hands and fingers keep the O of the forearm; feet take straight down to
  * the clip's shin, which leaves soles flat, where they are not flat in the clip's rest pose already. A clip and a body of
- * SMPL rest alike: there all O are the identity. The root follows the middle between the two thigh joints, scaled by the
+ * SMPL rest alike: there all O are the identity. A joint that the clip lacks between two that it has (the upper neck) shares
+ * their turn; others follow the joint above. The root follows the middle between the two thigh joints, scaled by the
  * length of the legs. The clip's floor is y = 0 and stays there. */
 #include "scene/clip.h"
 #include "scene/joints.h"
@@ -19,6 +20,7 @@ typedef struct {
     joint_family clip_family, body_family;
     bool same_rest;   /* both rigs rest alike: rotations are taken as they are */
     int *source;      /* [J] joint of the clip, -1: none */
+    int *heir;        /* [J] of a joint that the clip lacks between two that it has: the lower one; -1: none */
     hg_quatd *offset; /* [J] O */
     double scale;
     hg_quatd *from; /* [clip joints] global, one frame */
@@ -105,17 +107,36 @@ static void find_scale(retarget *r)
     r->scale = in_body > 1e-6 && in_clip > 1e-6 ? in_body / in_clip : 1;
 }
 
+/* A neck of two bones under a clip with one: the turn between neck and head is shared. Bones of length zero turn nothing. */
+static void find_heirs(retarget *r)
+{
+    const hg_body *body = r->body;
+    for (int j = 0; j < body->joints; j++) {
+        int parent = body->parent[j], children = 0;
+        r->heir[j] = -1;
+        if (r->source[j] >= 0 || parent < 0 || r->source[parent] < 0) continue;
+        for (int k = j + 1; k < body->joints; k++) {
+            if (body->parent[k] != j) continue;
+            children++;
+            r->heir[j] = r->source[k] >= 0 ? k : -1;
+        }
+        if (children != 1 || !(hg_vec3d_distance(body_joint(body, j), body_joint(body, parent)) > 1e-4))
+            r->heir[j] = -1;
+    }
+}
+
 static hg_status prepare(retarget *r)
 {
     const hg_clip *clip = r->clip;
     const hg_body *body = r->body;
     r->source = hg_alloc((size_t)body->joints, sizeof *r->source);
+    r->heir = hg_alloc((size_t)body->joints, sizeof *r->heir);
     r->offset = hg_alloc((size_t)body->joints, sizeof *r->offset);
     r->from = hg_alloc((size_t)clip->joints, sizeof *r->from);
     r->from_place = hg_alloc((size_t)clip->joints, sizeof *r->from_place);
     r->to = hg_alloc((size_t)body->joints, sizeof *r->to);
     r->to_place = hg_alloc((size_t)body->joints, sizeof *r->to_place);
-    if (!r->source || !r->offset || !r->from || !r->from_place || !r->to || !r->to_place) return HG_MEMORY;
+    if (!r->source || !r->heir || !r->offset || !r->from || !r->from_place || !r->to || !r->to_place) return HG_MEMORY;
     r->clip_family = joints_family(clip->name, clip->joints);
     r->body_family = joints_family(body->joint_name, body->joints);
     r->same_rest = clip->standard_rest && r->clip_family == r->body_family;
@@ -131,6 +152,7 @@ static hg_status prepare(retarget *r)
                 "Mixamo and of game engines are understood, and those of the body itself",
                 joint < 0 ? "body" : "clip", needed[i]);
     }
+    find_heirs(r);
     find_offsets(r);
     find_scale(r);
     return HG_OK;
@@ -162,7 +184,10 @@ static void retarget_frame(retarget *r, int64_t t, float *rotation, float *trans
     for (int j = 0; j < body->joints; j++) {
         int parent = body->parent[j];
         hg_quatd above = parent >= 0 ? r->to[parent] : hg_quatd_identity();
-        r->to[j] = r->source[j] >= 0 ? hg_quatd_normalize(hg_quatd_mul(r->from[r->source[j]], r->offset[j])) : above;
+        int heir = r->heir[j], source = r->source[heir >= 0 ? heir : j];
+        r->to[j] =
+            source >= 0 ? hg_quatd_normalize(hg_quatd_mul(r->from[source], r->offset[heir >= 0 ? heir : j])) : above;
+        if (heir >= 0) r->to[j] = hg_quatd_slerp(above, r->to[j], 0.5);
         r->to_place[j] = body_joint(body, j);
         if (parent >= 0) {
             hg_vec3d bone = hg_vec3d_sub(body_joint(body, j), body_joint(body, parent));
@@ -211,6 +236,7 @@ hg_status hg_clip_retarget(hg_motion **motion, const hg_clip *clip, const hg_bod
         retarget_frame(&r, t * step, rotation, full->translation + 3 * t, t > 0 ? rotation - 4 * body->joints : NULL);
     }
     hg_free(r.source);
+    hg_free(r.heir);
     hg_free(r.offset);
     hg_free(r.from);
     hg_free(r.from_place);

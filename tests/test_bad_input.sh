@@ -112,6 +112,13 @@ import_motion ".bvh with a word" 'words.bvh.*two' words.bvh
 import_motion ".bvh of NaN" 'nan.bvh' nan.bvh
 import_motion ".bvh of other joints" 'other_joints.bvh|joint' other_joints.bvh
 refused "broken .asf" 'broken.asf' "$program" import motion bad/broken.amc --skeleton bad/broken.asf --body keep/bust.h5 -o keep/motion.h5
+printf 'PK\003\004 and no more' >bad/broken.npz; printf 'glTF\002' >bad/short.glb; printf '{"asset": {' >bad/broken.gltf
+import_groom "broken .npz of strands" 'broken.npz: ' broken.npz
+import_motion "broken .npz of a motion" 'broken.npz: ' broken.npz
+refused "broken .npz of a body" 'broken.npz: .*directory' "$program" import body bad/broken.npz -o keep/bust.h5
+import_motion "short .glb" 'short.glb: ' short.glb
+refused "broken .gltf" 'broken.gltf: .*not valid JSON' "$program" import body bad/broken.gltf -o keep/bust.h5
+refused "info of a broken file" 'broken.npz: no body .*no motion .*no strands' "$program" info bad/broken.npz
 refused ".amc without skeleton" 'needs its skeleton' "$program" import motion bad/broken.amc --body keep/bust.h5 -o keep/motion.h5
 
 head -c 3000 keep/groom.h5 >bad/truncated.h5
