@@ -36,6 +36,22 @@ if "$program" loss stretch run/nan.h5 -o out.h5 --dtype f32 >log 2>&1 && grep -q
 then ok "its file"; else wrong "its file"; fi
 if "$program" replay run/nan.h5 >log 2>&1 && grep -q '^hairgrad loss stretch run/nan.h5' log; then ok "replay of an energy"; else wrong "replay of an energy"; fi
 
+# ---- command lines that are wrong: one sentence, status 1, nothing is written
+refused() { # NAME PART ARGUMENT...
+    name=$1 part=$2; shift 2
+    "$program" loss "$@" >stdout 2>log
+    if [ $? != 1 ] || [ "$(grep -c '^hairgrad: ' log)" != 1 ] || ! grep -q -- "$part" log || [ -e none.h5 ]; then wrong "$name"; else ok "$name"; fi
+}
+refused "loss without output" '-o OUT.h5' stretch run/nan.h5
+refused "loss of another dtype" 'there are f32 and f64' stretch run/nan.h5 -o none.h5 --dtype f16
+refused "loss on another back end" 'auto, interpreter and compiled' stretch run/nan.h5 -o none.h5 --backend gpu
+refused "loss of a file that is none" 'is not an HDF5 file' stretch tiny.yaml -o none.h5
+refused "loss of a missing file" 'missing.h5: cannot be opened' stretch missing.h5 -o none.h5
+refused "loss into its input" 'would replace the input' stretch run/nan.h5 -o run/nan.h5
+refused "loss that cannot be written" 'cannot be written' stretch run/nan.h5 -o none/none.h5
+refused "loss of an unknown energy" "did you mean 'stretch'" strech run/nan.h5 -o none.h5
+refused "loss of an unknown setting" 'did you mean "stiffness"' stretch run/nan.h5 -o none.h5 --set stifness=2
+
 # ---- the drawing of a step
 if "$program" train tiny.yaml -o run --again --set "losses.stretch.stiffness=2 N/m" --set training.learning_rate=1e-3 --trap-nan --graph graph.dot >log 2>&1 &&
    grep -q '^digraph tape' graph.dot && grep -q '{physics|f32 \[\]|gradient' graph.dot; then ok "train --graph"; else wrong "train --graph"; fi
