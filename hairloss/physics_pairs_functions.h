@@ -87,8 +87,10 @@ static void HG_P(add_forces)(const hg_pairs *pairs, int64_t v, const hg_real *fo
 static double HG_P(sum_side)(const hg_pairs *pairs, int64_t v, int side, const hg_real *values)
 {
     double sum = 0.0;
-    for (int64_t k = pairs->start[v]; k < pairs->start[v + 1]; k++)
-        if ((pairs->incident[k] & 1) == side) sum += (double)values[pairs->incident[k] >> 1];
+    for (int64_t k = pairs->start[v]; k < pairs->start[v + 1]; k++) { /* a branch would mostly be guessed wrong */
+        const double value = (double)values[pairs->incident[k] >> 1];
+        sum += (pairs->incident[k] & 1) == side ? value : 0.0;
+    }
     return sum;
 }
 

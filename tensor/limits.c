@@ -14,6 +14,12 @@ static double now(void)
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
 }
 
+#ifdef __FMA__
+#define MULTIPLY_ADD(a_, b_, c_) __builtin_fmaf(a_, b_, c_)
+#else /* a build for any processor: two instructions */
+#define MULTIPLY_ADD(a_, b_, c_) ((a_) * (b_) + (c_))
+#endif
+
 typedef float vector __attribute__((vector_size(LANES * sizeof(float))));
 
 static void multiply_add(const void *args, int64_t first, int64_t last)
@@ -25,7 +31,7 @@ static void multiply_add(const void *args, int64_t first, int64_t last)
         const vector a = (vector){ 0 } + 0.999f, b = (vector){ 0 } + 1e-3f;
         for (int i = 0; i < ROUNDS; i++) {
             for (int k = 0; k < CHAINS; k++)
-                for (int l = 0; l < LANES; l++) sum[k][l] = __builtin_fmaf(sum[k][l], a[l], b[l]);
+                for (int l = 0; l < LANES; l++) sum[k][l] = MULTIPLY_ADD(sum[k][l], a[l], b[l]);
         }
         float total = 0;
         for (int k = 0; k < CHAINS; k++)
