@@ -32,10 +32,13 @@ static hg_status find_joints(const hg_config *config, const char *key, const hg_
     if (*count > HG_HAIR_JOINTS)
         return hg_fail(HG_INVALID, "%s:%d: %s: %d joints; at most %d", hg_config_name(config),
                        hg_config_line(config, key), key, *count, HG_HAIR_JOINTS);
-    for (int i = 0; i < *count; i++) {
+    int asked = *count;
+    *count = 0;
+    for (int i = 0; i < asked; i++) {
         const char *name = hg_config_text_at(config, key, i);
-        joints[i] = hg_body_joint(body, name);
-        if (joints[i] >= 0) continue;
+        int joint = hg_body_joint(body, name);
+        if (joint >= 0) joints[(*count)++] = joint;
+        if (joint >= 0 || hg_hair_is_usual_list(config, key)) continue; /* of the usual ones, those that the body has */
         const char *near = hg_nearest_of(name, (const char *const *)body->joint_name, (int)body->joints);
         return hg_fail(HG_INVALID, "%s:%d: %s: the body has no joint \"%s\"%s%s%s", hg_config_name(config),
                        hg_config_line(config, key), key, name, near ? "; did you mean \"" : "", near ? near : "",

@@ -25,6 +25,8 @@ typedef struct {
 
 int hg_hair_energies(const hg_energy **energies /* [256] */);             /* registered ones, by name */
 hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config); /* weight 0: the energy is off */
+bool hg_hair_is_usual_list(const hg_config *config,
+                           const char *key); /* the list that stands there when nothing is written */
 hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
 
 /* ---- features of frames ------------------------------------------------------------------------------------- */

@@ -212,6 +212,22 @@ const hg_config_row *hg_hair_schema(int *n)
     return found ? found->rows : NULL;
 }
 
+/* Whether a list is the one that stands there when nothing is written; an echo of it is the same. */
+bool hg_hair_is_usual_list(const hg_config *config, const char *key)
+{
+    int n, count = hg_config_count(config, key);
+    const hg_config_row *schema_rows = hg_hair_schema(&n);
+    hg_text text = { 0 };
+    for (int i = 0; i < count; i++) hg_text_add(&text, "%s%s", i ? ", " : "[", hg_config_text_at(config, key, i));
+    hg_text_add(&text, count ? "]" : "[]");
+    bool usual = false;
+    for (int i = 0; schema_rows && !text.failed && i < n; i++)
+        usual |= strcmp(schema_rows[i].key, key) == 0 && schema_rows[i].value &&
+                 strcmp(schema_rows[i].value, text.data) == 0;
+    hg_text_free(&text);
+    return usual;
+}
+
 hg_status hg_hair_config_load(hg_config **config, const char *path)
 {
     int n;
