@@ -23,7 +23,9 @@ typedef struct {
     const char *options[HG_HAIR_TERMS][HG_ENERGY_OPTIONS]; /* point into the config */
 } hg_hair_terms;                                           /* points into itself: never copied */
 
-int hg_hair_energies(const hg_energy **energies /* [256] */);             /* registered ones, by name */
+int hg_hair_energies(const hg_energy **energies /* [256] */); /* registered ones, by name */
+hg_status
+hg_hair_config_loaded(hg_status status); /* of a load: an unknown energy may be a plug-in's, and that is said */
 hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config); /* weight 0: the energy is off */
 bool hg_hair_is_usual_list(const hg_config *config,
                            const char *key); /* the list that stands there when nothing is written */

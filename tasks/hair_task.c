@@ -619,7 +619,8 @@ hg_status hg_hair_task_open_with(hg_hair_task **out, hg_ctx *ctx, const char *ru
     int n_rows;
     const hg_config_row *rows = hg_hair_schema(&n_rows);
     if (status == HG_OK)
-        status = rows ? hg_config_load_with(&config, config_path, rows, n_rows, overrides, n) : HG_MEMORY;
+        status = rows ? hg_hair_config_loaded(hg_config_load_with(&config, config_path, rows, n_rows, overrides, n))
+                      : HG_MEMORY;
     const char *weights = status == HG_OK && hg_file_exists(best) ? best : checkpoint;
     if (status == HG_OK && !hg_file_exists(weights))
         status = hg_fail(HG_IO, "%s: no best.h5 and no checkpoint.h5: nothing has been trained here yet", run_folder);

@@ -228,18 +228,26 @@ bool hg_hair_is_usual_list(const hg_config *config, const char *key)
     return usual;
 }
 
+hg_status hg_hair_config_loaded(hg_status status)
+{
+    if (status != HG_INVALID || !strstr(hg_message(), "unknown key \"losses.")) return status;
+    char *sentence = hg_strdup(hg_message());
+    if (!sentence) return HG_MEMORY;
+    char *list = strstr(sentence, "; known here:"); /* a long list; `hairgrad losses` has it */
+    if (list) *list = '\0';
+    hg_fail(status,
+            "%s; hairgrad losses lists the energies, one of a plug-in is known once --plugin FILE has loaded it",
+            sentence);
+    hg_free(sentence);
+    return status;
+}
+
 hg_status hg_hair_config_load(hg_config **config, const char *path)
 {
     int n;
     const hg_config_row *schema_rows = hg_hair_schema(&n);
     if (!schema_rows) return HG_MEMORY;
-    const hg_status status = hg_config_load(config, path, schema_rows, n);
-    if (status != HG_INVALID || !strstr(hg_message(), "unknown key \"losses.")) return status;
-    char *sentence = hg_strdup(hg_message());
-    if (!sentence) return HG_MEMORY;
-    hg_fail(status, "%s; an energy of a plug-in is known once --plugin FILE has loaded it", sentence);
-    hg_free(sentence);
-    return status;
+    return hg_hair_config_loaded(hg_config_load(config, path, schema_rows, n));
 }
 
 /* An echo writes the section of every energy that is on with its weight. One that is off stays out: a run does not depend on

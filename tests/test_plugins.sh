@@ -58,6 +58,21 @@ static const hg_sample samples[] = { { "five", 1, { { 1, { 5 } } } } };
 HG_OP(squares, .formula = "y = x x", .min_in = 1, .max_in = 1, .shape = shape, .forward = forward, .backward = backward, .samples = samples, .n_samples = 1);
 END
 
+plugin twigs <<'END'
+#include "scene/scene.h"
+static hg_status read_twigs(hg_curves **curves, const char *path)
+{
+    (void)path;
+    HG_TRY(hg_curves_create(curves, 2, 4));
+    for (int i = 0; i < 3; i++) (*curves)->start[i] = 2 * i;
+    for (int i = 0; i < 4; i++) (*curves)->points[3 * i + 1] = (float)(0.1 * (i % 2) + 0.01 * i);
+    return HG_OK;
+}
+static const hg_groom_reader reader = { .extension = "twigs", .what = "twigs", .read = read_twigs, .metres = true };
+HG_REGISTER("groom reader", twigs, &reader);
+END
+echo anything >"$work/two.twigs"
+
 works "before the command" "max(y - y_root" "$hairgrad" --plugin tip_rise.so losses tip_rise
 works "after the command" "max(y - y_root" "$hairgrad" losses tip_rise --plugin tip_rise.so
 works "between, joined" "max(y - y_root" "$hairgrad" losses --plugin=tip_rise.so tip_rise
@@ -66,6 +81,8 @@ works "the same file twice" "max(y - y_root" env "HAIRGRAD_PLUGINS=$work/tip_ris
 works "gradcheck of an energy" "tip_rise" "$hairgrad" gradcheck tip_rise --plugin tip_rise.so
 works "gradcheck of an op" "squares" "$hairgrad" --plugin squares.so gradcheck squares
 works "both at once" "squares" "$hairgrad" --plugin squares.so gradcheck squares tip_rise --plugin tip_rise.so
+works "a reader of one's own" "2 strands" "$hairgrad" convert two.twigs two.ply --plugin twigs.so
+refused "without it" "no reader for strands" "$hairgrad" convert two.twigs two.ply
 cat >"$work/own.yaml" <<'END'
 scene: { style: straight, strands: 60, vertices: 8, seconds: 1 s, motion_kinds: [nod], held_out_kinds: [nod] }
 model: { width: 16, pinned: 2 }
