@@ -63,8 +63,9 @@ static hg_status find_param(const hg_term *terms, int n_terms, const char *name,
 
 static void parameters_of(const hg_term *term, double params[HG_ENERGY_PARAMS])
 {
-    for (int k = 0; k < HG_ENERGY_PARAMS; k++)
-        params[k] = term->params ? term->params[k] : term->energy->params[k].name ? term->energy->params[k].value : 0;
+    memset(params, 0, HG_ENERGY_PARAMS * sizeof *params);
+    for (int k = 0; k < HG_ENERGY_PARAMS && term->energy->params[k].name; k++)
+        params[k] = term->params ? term->params[k] : term->energy->params[k].value;
 }
 
 static double largest_of(const double *values, int64_t n)
