@@ -3,6 +3,7 @@
 #include "cli/program.h"
 
 #include <hdf5.h>
+#include <malloc.h>
 #include <signal.h>
 #include <stdlib.h>
 #include <string.h>
@@ -161,6 +162,9 @@ static void sleep_while_waiting(char **words)
 int main(int count, char **words)
 {
     sleep_while_waiting(words);
+#ifdef __GLIBC__
+    mallopt(M_MMAP_THRESHOLD, 1 << 20); /* large blocks go back to the system when they are freed */
+#endif
     signal(SIGXFSZ, SIG_IGN); /* a file over the limit is an error like a full disk, not the end */
     H5dont_atexit(); /* files are closed by whoever opened them; nothing is left for the HDF5 library to tidy */
     int result = run_program(count, words);

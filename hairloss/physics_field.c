@@ -28,11 +28,17 @@ enum {
     MOST_KEPT = 1 << 20 /* vertices whose pairs are kept from the sums to the gradient */
 };
 
-/* The pairs that were found in a layer of cells, by owner; in f32 a pair is 8 bytes. */
+/* The pairs that were found in a layer of cells, by owner, in pieces that are kept from call to call; 8 bytes a pair in
+ * f32. */
+enum { PIECE_PAIRS = 8192, PIECE_OWNERS = 1024 };
+typedef struct field_piece {
+    struct field_piece *next;
+    int n_owners, n;
+    int32_t owner[PIECE_OWNERS], count[PIECE_OWNERS], place[PIECE_PAIRS];
+    double value[]; /* [PIECE_PAIRS] W'/r in the precision of the pass */
+} field_piece;
 typedef struct {
-    int32_t *owner, *count, *place;
-    void *value; /* W'/r of each pair */
-    int64_t n_owners, owners_room, n, room;
+    field_piece *first, *last; /* in use up to `last`, NULL: none */
     bool failed;
 } field_slab;
 
@@ -67,41 +73,35 @@ static bool rest_follows(const field_pass *pass)
     return follows;
 }
 
-static hg_status grow(void **array, int64_t old, int64_t n, size_t size)
+/* Room for a batch in the last piece of a slab, or in the next one. */
+static field_piece *piece_for(field_slab *slab, int n_owners, int n, size_t size)
 {
-    void *grown = hg_resize(*array, (size_t)old, (size_t)n, size);
-    if (!grown) return HG_MEMORY;
-    *array = grown;
-    return HG_OK;
+    field_piece *piece = slab->last;
+    if (piece && piece->n_owners + n_owners <= PIECE_OWNERS && piece->n + n <= PIECE_PAIRS) return piece;
+    field_piece **link = piece ? &piece->next : &slab->first;
+    if (!*link) *link = hg_alloc(1, sizeof **link + PIECE_PAIRS * size);
+    if (!*link) return NULL;
+    slab->last = *link;
+    slab->last->n_owners = slab->last->n = 0;
+    return slab->last;
 }
 
-/* Adds the pairs of some vertices to a slab. Memory is kept from call to call. */
+/* Adds the pairs of some vertices, at most LANES and OWNERS, to a slab. */
 static hg_status keep_pairs(field_slab *slab, int n_owners, const int32_t *owner, const int32_t *first,
                             const int32_t *place, size_t size, const void *value)
 {
-    const int64_t n = n_owners ? first[n_owners] : 0;
-    if (slab->n_owners + n_owners > slab->owners_room) {
-        const int64_t room = (slab->n_owners + n_owners) * 5 / 4 + 64;
-        HG_TRY(grow((void **)&slab->owner, slab->owners_room, room, sizeof *slab->owner));
-        HG_TRY(grow((void **)&slab->count, slab->owners_room, room, sizeof *slab->count));
-        slab->owners_room = room;
-    }
-    if (slab->n + n > slab->room) {
-        const int64_t room = (slab->n + n) * 5 / 4 + 1024;
-        HG_TRY(grow((void **)&slab->place, slab->room, room, sizeof *slab->place));
-        HG_TRY(grow(&slab->value, slab->room, room, size));
-        slab->room = room;
-    }
+    const int n = n_owners ? first[n_owners] : 0;
+    if (n == 0) return HG_OK;
+    field_piece *piece = piece_for(slab, n_owners, n, size);
+    if (!piece) return HG_MEMORY;
     for (int o = 0; o < n_owners; o++) {
-        slab->owner[slab->n_owners + o] = owner[o];
-        slab->count[slab->n_owners + o] = first[o + 1] - first[o];
+        piece->owner[piece->n_owners + o] = owner[o];
+        piece->count[piece->n_owners + o] = first[o + 1] - first[o];
     }
-    if (n > 0) { /* a slab without pairs has no memory yet */
-        memcpy(slab->place + slab->n, place, (size_t)n * sizeof *place);
-        memcpy((char *)slab->value + (size_t)slab->n * size, value, (size_t)n * size);
-    }
-    slab->n_owners += n_owners;
-    slab->n += n;
+    memcpy(piece->place + piece->n, place, (size_t)n * sizeof *place);
+    memcpy((char *)piece->value + (size_t)piece->n * size, value, (size_t)n * size);
+    piece->n_owners += n_owners;
+    piece->n += n;
     return HG_OK;
 }
 
@@ -110,11 +110,13 @@ static hg_status begin_slabs(field_pass *pass)
 {
     const int64_t layers = pass->cells.size[2];
     if (layers > pass->slabs_room) {
-        HG_TRY(grow((void **)&pass->slabs, pass->slabs_room, layers + 16, sizeof *pass->slabs));
+        field_slab *slabs = hg_resize(pass->slabs, (size_t)pass->slabs_room, (size_t)layers + 16, sizeof *slabs);
+        if (!slabs) return HG_MEMORY;
+        pass->slabs = slabs;
         pass->slabs_room = layers + 16;
     }
     for (int64_t s = 0; s < layers && !pass->kept; s++) {
-        pass->slabs[s].n_owners = pass->slabs[s].n = 0;
+        pass->slabs[s].last = NULL;
         pass->slabs[s].failed = false;
     }
     return HG_OK;
@@ -149,10 +151,11 @@ static void field_destroy(void *self)
     void *arrays[] = { pass->own_rest,   pass->rest_now,    pass->rest_made,  pass->sums,       pass->slope,
                        pass->rest_slope, pass->slope_place, pass->mass_place, pass->theta_place };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
-    for (int64_t s = 0; s < pass->slabs_room; s++) {
-        void *slab[] = { pass->slabs[s].owner, pass->slabs[s].count, pass->slabs[s].place, pass->slabs[s].value };
-        for (int i = 0; i < 4; i++) hg_free(slab[i]);
-    }
+    for (int64_t s = 0; s < pass->slabs_room; s++)
+        for (field_piece *piece = pass->slabs[s].first, *next; piece; piece = next) {
+            next = piece->next;
+            hg_free(piece);
+        }
     hg_free(pass->slabs);
     hg_pass_free(&pass->pass);
     hg_free(pass);

@@ -194,13 +194,15 @@ static void HG_P(kept_slabs)(const void *args, int64_t first, int64_t last)
     const HG_P(pair_args) *a = args;
     for (int64_t k = first; k < last; k++) {
         const field_slab *slab = &a->pass->slabs[HG_P(slab_number)(a, k)];
-        const int32_t *place = slab->place;
-        const hg_real *value = slab->value;
-        for (int64_t o = 0; o < slab->n_owners; o++) {
-            const int32_t n = slab->count[o];
-            HG_P(pair_forces)(a, slab->owner[o], n, place, value);
-            place += n;
-            value += n;
+        for (const field_piece *piece = slab->last ? slab->first : NULL; piece;
+             piece = piece == slab->last ? NULL : piece->next) {
+            const int32_t *place = piece->place;
+            const hg_real *value = (const hg_real *)(const void *)piece->value;
+            for (int o = 0; o < piece->n_owners; o++) {
+                HG_P(pair_forces)(a, piece->owner[o], piece->count[o], place, value);
+                place += piece->count[o];
+                value += piece->count[o];
+            }
         }
     }
 }
