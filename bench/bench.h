@@ -12,13 +12,13 @@
 #include <stdio.h>
 
 typedef struct {
-    char row[40];                /* "strand energies, 3,000" */
-    char ours[56], other[56];    /* what was run */
-    double ours_ms, other_ms;    /* medians; other 0: nothing beside it */
-    double ratio, aim;           /* aim 0: none; reached when ratio >= aim, or <= aim where `at_most` */
+    char row[40];             /* "strand energies, 3,000" */
+    char ours[56], other[56]; /* what was run */
+    double ours_ms, other_ms; /* medians; other 0: nothing beside it */
+    double ratio, aim;        /* aim 0: none; reached when ratio >= aim, or <= aim where `at_most` */
     bool at_most;
-    double operations, bytes;    /* of ours, one evaluation; 0: not counted */
-    int same_bits, steady;       /* 1 yes, 0 no, -1 does not apply */
+    double operations, bytes; /* of ours, one evaluation; 0: not counted */
+    int same_bits, steady;    /* 1 yes, 0 no, -1 does not apply */
     char note[320];
 } bench_result;
 
@@ -36,9 +36,9 @@ typedef struct bench {
 
 #define BENCH_THREADS 2
 
-double bench_now(void);          /* ms */
-void   bench_need(hg_status status); /* ends the program with the message where it is not HG_OK */
-void   bench_add(bench *b, const bench_result *result);
+double bench_now(void);            /* ms */
+void bench_need(hg_status status); /* ends the program with the message where it is not HG_OK */
+void bench_add(bench *b, const bench_result *result);
 double bench_median(double *values, int n);
 
 /* Those who run in turn. `times` makes n measurements, in ms, after one that does not count. */
@@ -53,19 +53,20 @@ void bench_race(bench *b, int n_sides, bench_side *sides, int each); /* each: me
 
 /* A process that answers: "run VARIANT N" with N times, "memory VARIANT" with bytes. */
 typedef struct bench_peer bench_peer;
-bench_peer *bench_peer_start(bench *b, const char *row, int patience /* s until it is ready */); /* NULL: b->... says why */
-void        bench_peer_end(bench_peer *peer);
-bool        bench_peer_has(const bench_peer *peer, const char *variant);
-const char *bench_peer_text(const bench_peer *peer);               /* "PyTorch 2.1", or why there is none */
-double      bench_peer_memory(bench_peer *peer, const char *variant); /* bytes, 0: not known */
-bench_side  bench_peer_side(bench_peer *peer, const char *variant, const char *label);
+bench_peer *bench_peer_start(bench *b, const char *row,
+                             int patience /* s until it is ready */); /* NULL: b->... says why */
+void bench_peer_end(bench_peer *peer);
+bool bench_peer_has(const bench_peer *peer, const char *variant);
+const char *bench_peer_text(const bench_peer *peer);             /* "PyTorch 2.1", or why there is none */
+double bench_peer_memory(bench_peer *peer, const char *variant); /* bytes, 0: not known */
+bench_side bench_peer_side(bench_peer *peer, const char *variant, const char *label);
 
 /* An array as a .npy file in the folder. */
 void bench_write(bench *b, const char *name, hg_dtype dtype, int rank, const int64_t *shape, const void *data);
 
 struct hg_hair_task *bench_task(bench *b, int threads); /* 3,000 strands of 25 vertices on a body, all energies */
 bool bench_steady_begin(bench *b, int64_t state[3]);
-int  bench_steady(bench *b, const int64_t state[3]);   /* 1: nothing was allocated since */
+int bench_steady(bench *b, const int64_t state[3]); /* 1: nothing was allocated since */
 
 /* Rows */
 void bench_energies(bench *b);
@@ -82,7 +83,8 @@ void bench_step_memory(bench *b); /* prints bytes; in a process of its own */
 typedef struct bench_embree bench_embree;
 bench_embree *bench_embree_create(int64_t n_vertices, int64_t n_faces, const int32_t *faces);
 void bench_embree_destroy(bench_embree *e);
-void bench_embree_query(bench_embree *e, const float *vertices, float reach, int64_t n, const float *points, int32_t *triangle, float *distance);
+void bench_embree_query(bench_embree *e, const float *vertices, float reach, int64_t n, const float *points,
+                        int32_t *triangle, float *distance);
 #endif
 
 #endif
