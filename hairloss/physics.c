@@ -49,7 +49,6 @@ struct hg_physics {
 
     int contact; /* term that asks for it, -1: none */
     hg_contact_mode mode;
-    double reach;
     hg_body_refit **refits; /* one per frame of the batch */
     int32_t *triangles;     /* [B,S,V] the last closest triangles: guesses for the next call */
     int64_t frames;         /* how many the two have room for */
@@ -153,15 +152,12 @@ static hg_status copy_terms(hg_physics *p, const hg_term *terms)
         if (term->energy->contact) {
             const char *mode = hg_term_option(term, "mode");
             const hg_contact_mode wanted = mode && strcmp(mode, "exact") == 0 ? HG_CONTACT_EXACT : HG_CONTACT_PLANE;
-            const double distance = hg_term_param(term, "distance"),
-                         reach = isfinite(distance) ? 2 * distance : (double)INFINITY;
             if (p->contact >= 0 && p->mode != wanted)
                 return hg_fail(HG_UNSUPPORTED,
                                "energies '%s' and '%s' ask for different contact modes; one query serves both",
                                p->terms[p->contact].energy->name, term->energy->name);
             if (p->contact < 0) p->contact = t;
             p->mode = wanted;
-            if (reach > p->reach) p->reach = reach;
         }
         if (term->energy->site.kind != HG_SITE_WINDOW) continue;
         if (term->energy->site.count < 1 || !term->energy->trace)
@@ -324,18 +320,25 @@ static hg_status check_frame(const hg_physics *p, const hg_frame *frame, const h
     return HG_OK;
 }
 
-/* Contact matters up to 2 D: of the terms, or of what this call gives in their place. */
+/* Contact matters up to 2 D: of the terms, or of what this call gives in their place (the largest of it). */
 static double contact_reach(const hg_physics *p, const hg_physics_values *values)
 {
-    double reach = p->reach;
-    for (int i = 0; i < values->n; i++) {
-        const hg_pass_value *value = &values->value[i];
-        if (value->kind != HG_INPUT_PARAM || !p->terms[value->term].energy->contact ||
-            strcmp(p->terms[value->term].energy->params[value->param].name, "distance") != 0)
-            continue;
-        for (int64_t k = 0; k < values->count[i]; k++)
-            reach = fmax(reach, 2 * (p->dtype == HG_F64 ? ((const double *)value->values)[k]
-                                                        : (double)((const float *)value->values)[k]));
+    double reach = 0;
+    for (int t = 0; t < p->n; t++) {
+        if (!p->terms[t].energy->contact) continue;
+        double distance = hg_term_param(&p->terms[t], "distance");
+        if (!isfinite(distance)) return (double)INFINITY;
+        for (int i = 0; i < values->n; i++) {
+            const hg_pass_value *value = &values->value[i];
+            if (value->kind != HG_INPUT_PARAM || value->term != t ||
+                strcmp(p->terms[t].energy->params[value->param].name, "distance") != 0)
+                continue;
+            distance = 0;
+            for (int64_t k = 0; k < values->count[i]; k++)
+                distance = fmax(distance, p->dtype == HG_F64 ? ((const double *)value->values)[k]
+                                                             : (double)((const float *)value->values)[k]);
+        }
+        reach = fmax(reach, 2 * distance);
     }
     return reach;
 }
@@ -433,6 +436,7 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
                                       per_strand ? per_strand + t : NULL, p->n));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) * (1 + 2 * (gradient != NULL)));
     }
+    hg_physics_chain(&resolver);
     return HG_OK;
 }
 

@@ -2,6 +2,7 @@
  * which the passes take them; and the gradients of those values go back to the tensors that they came from. */
 #include "hairloss/physics_inputs.h"
 
+#include <math.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -83,12 +84,9 @@ static hg_status unknown(const hg_physics_resolver *r, const char *name)
         for (int p = 0; p < HG_ENERGY_PARAMS && energy->params[p].name; p++)
             hg_text_add(&list, "%s.%s, ", energy->name, energy->params[p].name);
     }
-    const struct {
-        hg_input_kind kind;
-        const char *name;
-    } others[] = { { HG_INPUT_DT, "dt" }, { HG_INPUT_REST, "rest" }, { HG_INPUT_MASS, "mass" }, { HG_INPUT_Q, "q" } };
+    static const char *const others[] = { "dt", "rest", "mass", "q" };
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
-        if (r->asks->kinds & HG_ALLOW(others[i].kind)) hg_text_add(&list, "%s, ", others[i].name);
+        if (hg_physics_takes(r->asks, r->terms, r->n_terms, others[i])) hg_text_add(&list, "%s, ", others[i]);
     for (int i = 0; i < r->asks->n_attributes; i++) hg_text_add(&list, "%s, ", r->asks->attributes[i].name);
     for (int i = 0; i < r->asks->n_frames; i++) hg_text_add(&list, "%s, ", r->asks->frames[i].name);
     if (list.size > 2) list.data[list.size - 2] = 0;
@@ -208,7 +206,8 @@ bool hg_physics_takes(const hg_physics_asks *asks, const hg_term *terms, int n, 
         if (strncmp(name, terms[t].energy->name, length) == 0 && name[length] == '.') return true;
     }
     for (size_t i = 0; i < sizeof others / sizeof *others; i++)
-        if (strcmp(name, others[i].name) == 0) return (asks->kinds & others[i].kinds) != 0;
+        if (strcmp(name, others[i].name) == 0 && asks->kinds & others[i].kinds) return true;
+    if (strcmp(name, "rest") == 0) name = "strand_length"; /* is made of it */
     return find_name(asks->attributes, asks->n_attributes, name) || find_name(asks->frames, asks->n_frames, name);
 }
 
@@ -227,7 +226,7 @@ static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tens
                                hg_tensor_item(tensor, i), (long long)i);
         return HG_OK;
     }
-    if (strcmp(name, "rest") == 0 && asks->kinds & (HG_ALLOW(HG_INPUT_REST) | HG_ALLOW(HG_INPUT_ROOT_REST)))
+    if (strcmp(name, "rest") == 0 && hg_physics_takes(asks, r->terms, r->n_terms, name))
         return groom_array(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_REST }, 3);
     if (strcmp(name, "mass") == 0 && asks->kinds & HG_ALLOW(HG_INPUT_MASS))
         return groom_array(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_MASS }, 1);
@@ -301,6 +300,87 @@ static hg_status make_mean(hg_physics_resolver *r)
     return add_value(r, (hg_pass_value){ .kind = HG_INPUT_FRAME, .name = mean->name, .values = to }, NULL, B * row);
 }
 
+/* ---- the length of the strands ------------------------------------------------------------------------------ */
+
+static double real_at(hg_dtype dtype, const void *values, int64_t at)
+{
+    return dtype == HG_F64 ? ((const double *)values)[at] : (double)((const float *)values)[at];
+}
+
+/* "strand_length" follows a rest groom that is given, where it is not given itself. */
+static hg_status make_strand_length(hg_physics_resolver *r)
+{
+    const hg_physics_name *name = find_name(r->asks->attributes, r->asks->n_attributes, "strand_length");
+    const hg_pass_value *rest = NULL;
+    for (int i = 0; name && i < r->values->n; i++) {
+        const hg_pass_value *value = &r->values->value[i];
+        if (value->kind == HG_INPUT_REST) rest = value;
+        if (value->kind == HG_INPUT_ATTRIBUTE && strcmp(value->name, "strand_length") == 0) return HG_OK;
+    }
+    if (!rest) return HG_OK;
+    const int64_t V = r->data->vertices, strands = r->data->grooms * r->data->strands;
+    const size_t bytes = (size_t)(strands * V) * hg_dtype_size(r->dtype);
+    void *to = hg_step_alloc(r->ctx, bytes + 1), *gradient = NULL;
+    if (rest->gradient && (gradient = hg_step_alloc(r->ctx, bytes + 1))) memset(gradient, 0, bytes);
+    if (!to || (rest->gradient && !gradient)) return HG_MEMORY;
+    for (int64_t s = 0; s < strands; s++) {
+        double length = 0;
+        for (int64_t at = s * V; at < (s + 1) * V - 1; at++) {
+            double square = 0;
+            for (int c = 0; c < 3; c++) {
+                const double e =
+                    real_at(r->dtype, rest->values, 3 * at + 3 + c) - real_at(r->dtype, rest->values, 3 * at + c);
+                square += e * e;
+            }
+            length += sqrt(square);
+        }
+        for (int64_t at = s * V; at < (s + 1) * V; at++) {
+            if (r->dtype == HG_F64)
+                ((double *)to)[at] = length;
+            else
+                ((float *)to)[at] = (float)length;
+        }
+    }
+    return add_value(
+        r, (hg_pass_value){ .kind = HG_INPUT_ATTRIBUTE, .name = name->name, .values = to, .gradient = gradient }, NULL,
+        strands * V);
+}
+
+/* What came to "strand_length" goes on to the rest groom that it was made of. */
+void hg_physics_chain(const hg_physics_resolver *r)
+{
+    const hg_pass_value *rest = NULL, *length = NULL;
+    for (int i = 0; i < r->values->n; i++) {
+        const hg_pass_value *value = &r->values->value[i];
+        if (value->kind == HG_INPUT_REST) rest = value;
+        if (value->kind == HG_INPUT_ATTRIBUTE && !r->values->tensor[i] && strcmp(value->name, "strand_length") == 0)
+            length = value;
+    }
+    if (!rest || !rest->gradient || !length || !length->gradient) return;
+    const int64_t V = r->data->vertices, strands = r->data->grooms * r->data->strands;
+    for (int64_t s = 0; s < strands; s++) {
+        double arrived = 0;
+        for (int64_t at = s * V; at < (s + 1) * V; at++) arrived += real_at(r->dtype, length->gradient, at);
+        for (int64_t at = s * V; at < (s + 1) * V - 1; at++) {
+            double e[3], square = 0;
+            for (int c = 0; c < 3; c++) {
+                e[c] = real_at(r->dtype, rest->values, 3 * at + 3 + c) - real_at(r->dtype, rest->values, 3 * at + c);
+                square += e[c] * e[c];
+            }
+            const double scale = square > 0 ? arrived / sqrt(square) : 0; /* of an edge without length: none */
+            for (int c = 0; c < 3; c++) {
+                if (r->dtype == HG_F64) {
+                    ((double *)rest->gradient)[3 * at + 3 + c] += scale * e[c];
+                    ((double *)rest->gradient)[3 * at + c] -= scale * e[c];
+                } else {
+                    ((float *)rest->gradient)[3 * at + 3 + c] += (float)(scale * e[c]);
+                    ((float *)rest->gradient)[3 * at + c] -= (float)(scale * e[c]);
+                }
+            }
+        }
+    }
+}
+
 /* ---- all of a frame ----------------------------------------------------------------------------------------- */
 
 hg_status hg_physics_resolve(hg_physics_resolver *r)
@@ -330,6 +410,7 @@ hg_status hg_physics_resolve(hg_physics_resolver *r)
                 return hg_fail(HG_INVALID, "physics: input '%s' is given twice", frame->inputs[i].name);
         HG_TRY(named(r, frame->inputs[i].name, frame->inputs[i].value));
     }
+    HG_TRY(make_strand_length(r));
     return make_mean(r);
 }
 

@@ -44,6 +44,7 @@ typedef struct {
 } hg_physics_resolver;
 
 hg_status hg_physics_resolve(hg_physics_resolver *resolver);
+void hg_physics_chain(const hg_physics_resolver *resolver); /* after the passes: gradients of what was made of values */
 /* In the step arena; NULL without memory. */
 void *hg_physics_gradient(hg_ctx *ctx, const hg_physics_values *values, const hg_tensor *tensor);
 void hg_physics_variant(const hg_physics_resolver *resolver, const int32_t *column, int n_window,
@@ -56,7 +57,6 @@ bool hg_physics_same_variant(const hg_strand_variant *a, const hg_strand_variant
  * the gradient that came to the energy; with a path (may be NULL) writes there the input of a `hairgrad loss` that shows
  * it, and adds that command. */
 hg_status hg_physics_explain(hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n, const hg_groom_data *data,
-                             const hg_frame *frame, hg_tensor *x, double arrived, const char *path,
-                             hg_text *text);
+                             const hg_frame *frame, hg_tensor *x, double arrived, const char *path, hg_text *text);
 
 #endif
