@@ -225,8 +225,39 @@ static void vertex(printer *p, const hg_code *code, const char *indent)
     list(p, code, indent);
 }
 
+/* "width * rows of V vertices" */
+static void size(printer *p, const hg_strand_input *array)
+{
+    hg_text_add(p->text, array->missing ? "%d * (V - %d)" : "%d * V", array->width, array->missing);
+}
+
+/* Every site asks for its share of the next tile's rows, and of the rows that this tile's gradient will go to. */
+static void ahead(printer *p, int first)
+{
+    const hg_strand_program *program = p->program;
+    hg_text *text = p->text;
+    for (int k = 0; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        hg_text_add(text, "            hg_v_soon(args->array[%d], HG_BYTES * ((%s + count) * (", k,
+                    array->rest ? "in_groom" : "at");
+        size(p, array);
+        hg_text_add(text, ") + (i - %d) * %d * HG_LANES), %d * HG_LANES * HG_BYTES);\n", first, array->width,
+                    array->width);
+        if (!array->gradient) continue;
+        hg_text_add(text, "            hg_v_soon_written(args->array_gradient[%d], HG_BYTES * (at * (", k);
+        size(p, array);
+        hg_text_add(text, ") + (i - %d) * %d * HG_LANES), %d * HG_LANES * HG_BYTES);\n", first, array->width,
+                    array->width);
+    }
+    if (program->n_site)
+        hg_text_add(
+            text,
+            "            hg_v_soon(sites, (int64_t)sizeof(hg_v) * %d * (V + i - %d), %d * HG_LANES * HG_BYTES);\n",
+            program->n_site, first, program->n_site);
+}
+
 /* One list per body: the first ones once, the last for every vertex from there on; back: from tip to root. */
-static void walk(printer *p, const hg_code *bodies, bool back)
+static void walk(printer *p, const hg_code *bodies, bool back, bool look_ahead)
 {
     const int last = p->program->bodies - 1;
     hg_text *text = p->text;
@@ -239,6 +270,7 @@ static void walk(printer *p, const hg_code *bodies, bool back)
             hg_text_add(text, "        for (int64_t i = V - 1; i >= %d; i--) {\n", b);
         else
             hg_text_add(text, "        for (int64_t i = %d; i < V; i++) {\n", b);
+        if (b == last && look_ahead) ahead(p, b);
         vertex(p, &bodies[b], "            ");
         hg_text_add(text, "        }\n");
     }
@@ -247,12 +279,6 @@ static void walk(printer *p, const hg_code *bodies, bool back)
 static void tile(printer *p, const char *name, hg_strand_tile at)
 {
     hg_text_add(p->text, "    hg_v *restrict tile_%s = (hg_v *)scratch + (%d * V + %d);\n", name, at.rows, at.extra);
-}
-
-/* "width * rows of V vertices" */
-static void size(printer *p, const hg_strand_input *array)
-{
-    hg_text_add(p->text, array->missing ? "%d * (V - %d)" : "%d * V", array->width, array->missing);
 }
 
 static void load(printer *p)
@@ -393,12 +419,12 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     if (input_gradient) hg_text_add(text, "        hg_v input_gradient[%d];\n", program->input_width);
     preamble(p);
     if (program->n_carry) {
-        walk(p, program->forward, false);
+        walk(p, program->forward, false, false);
         hg_text_add(text, "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(0);\n",
                     program->n_carry, program->n_carry);
-        walk(p, program->body, true);
+        walk(p, program->body, true, true);
     } else {
-        walk(p, program->body, false);
+        walk(p, program->body, false, true);
     }
     hg_text_add(text, "        {\n");
     list(p, &program->postamble, "            ");

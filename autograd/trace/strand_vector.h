@@ -184,6 +184,21 @@ static inline void hg_v_store_tile(hg_real *rows, const hg_v *tile, int64_t widt
     }
 }
 
+/* `bytes` at `from` + `offset`, to be read soon (or written): while a tile is at work, the lines of the next one come in. The
+ * processor cannot look that far ahead by itself. A line that is not there is asked for without harm. */
+static inline __attribute__((always_inline)) void hg_v_soon(const void *from, int64_t offset, int bytes)
+{
+    HG_UNROLL
+    for (int b = 0; b < bytes; b += 64)
+        __builtin_prefetch((const void *)((uintptr_t)from + (uintptr_t)(offset + b)), 0, 2);
+}
+static inline __attribute__((always_inline)) void hg_v_soon_written(const void *to, int64_t offset, int bytes)
+{
+    HG_UNROLL
+    for (int b = 0; b < bytes; b += 64)
+        __builtin_prefetch((const void *)((uintptr_t)to + (uintptr_t)(offset + b)), 1, 2);
+}
+
 /* Energies of a tile's strands, one vector per term. */
 static inline void hg_v_store_energy(const hg_strand_args *args, int64_t tile, int64_t strand, int64_t count,
                                      const hg_v *energy, int terms)
