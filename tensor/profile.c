@@ -2,14 +2,16 @@
  * what it took without the scopes inside it, so that own times add up to the step. All memory is taken at the start. */
 #include "tensor/context.h"
 
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <time.h>
 
-enum { ROWS = 192, DEPTH = 32 };
+enum { ROWS = 192, DEPTH = 32, NAME = 160 };
 
 typedef struct {
-    const char *group, *name;
+    const char *group;
+    char name[NAME]; /* its own: that of a physics is gone when the table is read */
     double own, total, bytes;
     int64_t calls;
 } row;
@@ -71,11 +73,12 @@ bool hg_profiling(const hg_ctx *ctx) { return ctx->profile != NULL; }
 static int find(hg_profile *p, const char *group, const char *name)
 {
     for (int i = 0; i < p->n_rows; i++)
-        if ((p->rows[i].name == name || strcmp(p->rows[i].name, name) == 0) &&
+        if (strncmp(p->rows[i].name, name, NAME - 1) == 0 &&
             (p->rows[i].group == group || strcmp(p->rows[i].group, group) == 0))
             return i;
     if (p->n_rows == ROWS) return ROWS - 1; /* the last one takes what there is no room for */
-    p->rows[p->n_rows] = (row){ .group = group, .name = name };
+    p->rows[p->n_rows] = (row){ .group = group };
+    snprintf(p->rows[p->n_rows].name, NAME, "%s", name);
     return p->n_rows++;
 }
 

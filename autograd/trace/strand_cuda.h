@@ -38,6 +38,9 @@ static __device__ inline hg_v hg_v_less(hg_v a, hg_v b) { return a < b ? HG_R(1.
 static __device__ inline hg_v hg_v_select(hg_v c, hg_v a, hg_v b) { return c != 0 ? a : b; }
 static __device__ inline hg_v hg_v_if_less(hg_v a, hg_v b, hg_v c, hg_v d) { return a < b ? c : d; }
 
+/* Other warps work while this one waits: nothing is asked for ahead. */
+static __device__ inline void hg_v_soon(const void *, int64_t, int) {}
+static __device__ inline void hg_v_soon_written(const void *, int64_t, int) {}
 static __device__ inline void hg_v_load_tile(hg_v *tile, const hg_real *rows, int64_t width, int64_t count)
 {
     for (int64_t j = 0; j < width && count > 0; j++) tile[j] = rows[j];
