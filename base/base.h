@@ -106,6 +106,7 @@ const char *hg_nearest_of(const char *name, const char *const *names, int n);
  * cannot be loaded, another ABI version, a name that is taken, a declaration that makes no sense), nothing of it stays and
  * the message says what, in which file. Loading the same file again does nothing. Stays loaded. */
 hg_status hg_plugin_load(const char *path);
+hg_status hg_plugins_load(const char *list); /* "a.so:b.so", as in HAIRGRAD_PLUGINS; NULL: none */
 
 /* How what is registered as one kind is checked: HG_REGISTER("declaration", energy, &check); a blank in a kind is a _. */
 typedef struct { hg_status (*check)(const char *name, const void *item); } hg_declaration;

@@ -75,3 +75,16 @@ hg_status hg_plugin_load(const char *path)
     hg_free(local);
     return status;
 }
+
+hg_status hg_plugins_load(const char *list)
+{
+    while (list && *list) {
+        const size_t length = strcspn(list, ":");
+        char *path = hg_format("%.*s", (int)length, list);
+        const hg_status status = !path ? HG_MEMORY : length > 0 ? hg_plugin_load(path) : HG_OK;
+        hg_free(path);
+        HG_TRY(status);
+        list += length + (list[length] == ':');
+    }
+    return HG_OK;
+}

@@ -1,7 +1,8 @@
 /* bench: measures every row, or those whose names are given, and prints the table.
  *
- *     bench [--rounds N] [--json FILE] [NAME...]
+ *     bench [--rounds N] [--json FILE] [--plugin FILE] [NAME...]
  *
+ * NAME: a row, or an energy, also one of a plug-in, to be measured by itself.
  * Environment: PYTHON, the interpreter that has PyTorch and ONNX Runtime (default python3). */
 #include "bench/bench.h"
 
@@ -128,7 +129,8 @@ static void write_json(const bench *b, const char *path)
 
 static void usage(void)
 {
-    fprintf(stderr, "usage: bench [--rounds N] [--json FILE] [NAME...]; names are");
+    fprintf(stderr,
+            "usage: bench [--rounds N] [--json FILE] [--plugin FILE] [NAME...]; names are those of energies, and");
     for (int i = 0; i < ROWS; i++) fprintf(stderr, " %s", rows[i].name);
     fprintf(stderr, "\n");
     exit(2);
@@ -169,7 +171,11 @@ int main(int count, char **words)
     mallopt(M_MMAP_THRESHOLD, 1 << 20); /* as the program does, too */
     bench b = { .rounds = 9, .source = BENCH_SOURCE, .python = getenv("PYTHON") ? getenv("PYTHON") : "python3" };
     bool wanted[ROWS] = { false }, any = false, memory = false;
-    const char *json = NULL;
+    const char *json = NULL, *own[32];
+    int n_own = 0;
+    bench_need(hg_plugins_load(getenv("HAIRGRAD_PLUGINS")));
+    for (int i = 1; i + 1 < count; i++)
+        if (!strcmp(words[i], "--plugin")) bench_need(hg_plugin_load(words[i + 1]));
     for (int i = 1; i < count; i++) {
         int row = 0;
         while (row < ROWS && strcmp(words[i], rows[row].name)) row++;
@@ -181,6 +187,10 @@ int main(int count, char **words)
             b.rounds = atoi(words[++i]);
         else if (!strcmp(words[i], "--json") && i + 1 < count)
             json = words[++i];
+        else if (!strcmp(words[i], "--plugin") && i + 1 < count)
+            i++;
+        else if (n_own < 32 && hg_find("energy", words[i]))
+            own[n_own++] = words[i];
         else
             usage();
     }
@@ -193,7 +203,8 @@ int main(int count, char **words)
     }
     bench_need(hg_machine_limits(b.ctx[1], &b.operations, &b.bytes));
     for (int i = 0; i < ROWS; i++)
-        if (!any || wanted[i]) rows[i].run(&b);
+        if (wanted[i] || (!any && n_own == 0)) rows[i].run(&b);
+    for (int i = 0; i < n_own; i++) bench_energy(&b, own[i]);
     double operations, bytes; /* again: a neighbour may have halved the machine the first time */
     bench_need(hg_machine_limits(b.ctx[1], &operations, &bytes));
     if (operations > b.operations) b.operations = operations;

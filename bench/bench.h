@@ -71,6 +71,7 @@ int bench_steady(bench *b, const int64_t state[3]); /* 1: nothing was allocated 
 /* Rows */
 void bench_energies(bench *b);
 void bench_chain(bench *b);
+void bench_energy(bench *b, const char *name); /* one that is asked for, a plug-in's too */
 void bench_self_collision(bench *b);
 void bench_body_collision(bench *b);
 void bench_network(bench *b);

@@ -210,3 +210,36 @@ void bench_chain(bench *b)
     for (int k = 0; k < 3; k++) hg_physics_destroy(side[k].physics[0]);
     free_scene(&s);
 }
+
+/* Any energy of strands by itself: what a kernel of its own gains over the interpreter. */
+void bench_energy(bench *b, const char *name)
+{
+    scene s;
+    make_scene(b, &s, 3000);
+    for (int c = 0; c < 2; c++) s.frame[c].previous = s.predicted[c];
+    strands side[3] = { 0 }; /* compiled, interpreter, compiled on one thread */
+    for (int k = 0; k < 3; k++)
+        side[k] = (strands){ .ctx = b->ctx[k < 2],
+                             .n = 1,
+                             .frame = &s.frame[k < 2],
+                             .x = s.x[k < 2],
+                             .gradient = s.gradient[k < 2],
+                             .physics = { make(b->ctx[k < 2], 1, &name, &s.data,
+                                               k == 1 ? HG_BACKEND_INTERPRETER : HG_BACKEND_AUTO) } };
+    bench_result r = { .same_bits = same_bits(&s, &side[2], &side[0]) };
+    int64_t state[3];
+    double ms;
+    evaluate(&side[1], &ms, 1);
+    bench_steady_begin(b, state);
+    bench_side race[2] = { { "compiled", evaluate, &side[0] }, { "interpreter", evaluate, &side[1] } };
+    bench_race(b, 2, race, 9);
+    r.steady = bench_steady(b, state);
+    r.ours_ms = race[0].median;
+    r.other_ms = race[1].median;
+    snprintf(r.row, sizeof r.row, "%s, 3000 strands", name);
+    snprintf(r.ours, sizeof r.ours, "%s", hg_physics_backend_name(side[0].physics[0]));
+    snprintf(r.other, sizeof r.other, "interpreter");
+    bench_add(b, &r);
+    for (int k = 0; k < 3; k++) hg_physics_destroy(side[k].physics[0]);
+    free_scene(&s);
+}

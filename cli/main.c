@@ -60,15 +60,7 @@ static int unknown_command(const char *name)
  * anywhere in it. */
 static int load_plugins(int *count, char **words)
 {
-    const char *from = getenv("HAIRGRAD_PLUGINS");
-    while (from != NULL && *from != '\0') {
-        const size_t length = strcspn(from, ":");
-        char *path = hg_format("%.*s", (int)length, from);
-        const hg_status status = path == NULL ? HG_MEMORY : length > 0 ? hg_plugin_load(path) : HG_OK;
-        hg_free(path);
-        if (status != HG_OK) return cli_fail();
-        from += length + (from[length] == ':');
-    }
+    if (hg_plugins_load(getenv("HAIRGRAD_PLUGINS")) != HG_OK) return cli_fail();
     int kept = 1;
     bool options = true;
     for (int i = 1; i < *count; i++) {
