@@ -433,7 +433,7 @@ static hg_status fill_sparse(const gltf_file *file, const char *where, const cJS
     HG_TRY(gltf_integer(file, indices, where, "componentType", 0, 0, 1 << 16, &index_type));
     if (!component_of(index_type, &index) || index_type == 5126 || index_type == 5120 || index_type == 5122)
         return gltf_fail(file, "%s: sparse indices of type %lld", where, (long long)index_type);
-    component_of(type, &c);
+    if (!component_of(type, &c)) return gltf_fail(file, "%s: components of type %lld", where, (long long)type);
     HG_TRY(gltf_integer(file, indices, where, "bufferView", -1, 0, INT32_MAX, &view[0]));
     HG_TRY(gltf_integer(file, values, where, "bufferView", -1, 0, INT32_MAX, &view[1]));
     HG_TRY(gltf_integer(file, indices, where, "byteOffset", 0, 0, INT64_MAX / 4, &offset[0]));
