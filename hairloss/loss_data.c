@@ -108,6 +108,7 @@ static hg_status read_array(loss *l, loss_array *a, const char *axes)
     int rank;
     int64_t shape[6];
     char one[8];
+    if (!axes) return hg_fail(HG_INVALID, "%s: dataset \"%s\" is of no known shape", l->path, a->name);
     HG_TRY(hg_h5_shape(l->file, a->name, &rank, shape));
     for (const char *at = axes;; at++) {
         const size_t length = strcspn(at, "|");

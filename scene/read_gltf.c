@@ -65,7 +65,7 @@ static hg_status take_weights(builder *b, const cJSON *attributes, const char *w
     cJSON_ArrayForEach(item, joints) joint[i++] = b->rig->joint_of_node[item->valueint]; /* checked by the rig */
     hg_status status = HG_OK;
     for (int set = 0; status == HG_OK && set < 2; set++) {
-        char joints_name[16], weights_name[16];
+        char joints_name[32], weights_name[32];
         double *numbers = NULL, *weights = NULL;
         snprintf(joints_name, sizeof joints_name, "JOINTS_%d", set);
         snprintf(weights_name, sizeof weights_name, "WEIGHTS_%d", set);
