@@ -92,7 +92,7 @@ static void test_ops(void **state)
 static void test_limits(void **state)
 {
     (void)state;
-    static char names[400][8];
+    static char names[400][16];
     hg_ctx *ctx;
     const hg_profile_row *rows;
     double seconds, operations, bytes;
