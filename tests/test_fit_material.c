@@ -92,6 +92,7 @@ static double evaluate(one *o, const double *x, double *gradient)
     if (hg_physics_evaluate(o->physics, o->s->ctx, &frame, o->x, energy, NULL, o->gradient) != HG_OK)
         fail_msg("%s", hg_message());
     for (int t = 0; t < hg_physics_terms(o->physics); t++) total += energy[t];
+    if (!o->gradient->data) return total; /* gcc 14 thinks that it might */
     memcpy(gradient, o->gradient->data, V * 3 * sizeof *gradient);
     memset(gradient, 0, 3 * sizeof *gradient);
     hg_step_reset(o->s->ctx);

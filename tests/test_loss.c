@@ -142,6 +142,7 @@ typedef struct {
 static void read_settings(hg_h5 *file, const char *label, settings *s)
 {
     *s = (settings){ 0 };
+    if (!label) return; /* gcc 14 thinks that it might */
     snprintf(s->energy, sizeof s->energy, "%.*s", (int)strcspn(label, ","), label);
     for (const char *at = strchr(label, ','); at; at = strchr(at, ',')) {
         at++;
