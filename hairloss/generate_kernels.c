@@ -65,10 +65,10 @@ static hg_status print_file(hg_dtype dtype, const char *path)
     hg_text_add(&text, "};\n\n__attribute__((constructor)) static void hg_register_kernels(void)\n{\n"
                        "    static hg_entry entries[] = {\n");
     for (int i = 0; status == HG_OK && i < USUAL_SUMS; i++)
-        hg_text_add(
-            &text,
-            "        { .abi = HG_ABI_VERSION, .kind = \"strand_kernel\", .name = \"%s \" HG_LEVEL \" %016llx\", .item = &kernels[%d] },\n",
-            hg_dtype_name(dtype), (unsigned long long)hash[i], i);
+        hg_text_add(&text,
+                    "        { .abi = HG_ABI_VERSION, .kind = \"strand_kernel\", .name = \"%s \" HG_LEVEL \" "
+                    "%016llx\", .item = &kernels[%d] },\n",
+                    hg_dtype_name(dtype), (unsigned long long)hash[i], i);
     hg_text_add(&text, "    };\n    for (int i = 0; i < %d; i++) hg_register(&entries[i]);\n}\n", USUAL_SUMS);
     if (status == HG_OK && text.failed) status = HG_MEMORY;
     if (status == HG_OK) status = hg_file_write(path, text.data, text.size);

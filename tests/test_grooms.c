@@ -39,11 +39,11 @@ typedef struct {
     hg_ctx *ctx;
     hg_hair_task *task;
     hg_status status;
-} session;
+} trial;
 
-static session begin(const char *run, int threads, const char *grooms, const char *style)
+static trial begin(const char *run, int threads, const char *grooms, const char *style)
 {
-    session s = { 0 };
+    trial s = { 0 };
     int n;
     const hg_config_row *rows = hg_hair_schema(&n);
     hg_config *config = NULL;
@@ -58,14 +58,14 @@ static session begin(const char *run, int threads, const char *grooms, const cha
     return s;
 }
 
-static void end(session *s)
+static void end(trial *s)
 {
     hg_hair_task_destroy(s->task);
     hg_ctx_destroy(s->ctx);
 }
 
 /* The energy [J] of a batch of single frames, one for each (groom, frame) asked for; the network is still zero. */
-static double energy(session *s, int n, const int32_t *groom, const int64_t *frame)
+static double energy(trial *s, int n, const int32_t *groom, const int64_t *frame)
 {
     hg_hair_task *task = s->task;
     void *bytes = hg_alloc(1, hg_hair_batch_bytes(task, n, task->subset.n));
@@ -88,8 +88,8 @@ static double energy(session *s, int n, const int32_t *groom, const int64_t *fra
 static void grooms_add_up(void **state)
 {
     (void)state;
-    session both = begin(NULL, 2, "[wavy, short]", NULL), wavy = begin(NULL, 2, NULL, "wavy"),
-            straight = begin(NULL, 2, NULL, "short");
+    trial both = begin(NULL, 2, "[wavy, short]", NULL), wavy = begin(NULL, 2, NULL, "wavy"),
+          straight = begin(NULL, 2, NULL, "short");
     assert_int_equal(hg_hair_grooms(both.task), 2);
     const double a = energy(&wavy, 1, (int32_t[]){ 0 }, (int64_t[]){ 20 });
     const double b = energy(&straight, 2, (int32_t[]){ 0, 0 }, (int64_t[]){ 31, 7 });
@@ -103,7 +103,7 @@ static void grooms_add_up(void **state)
 
 static bool stop_at(void *self) { return (*(int *)self)-- == 0; }
 
-static uint64_t train(session *s, bool resume, int stop, hg_train_result *result)
+static uint64_t train(trial *s, bool resume, int stop, hg_train_result *result)
 {
     hg_train_options options = hg_hair_train_options(s->task);
     options.resume = resume;
@@ -131,7 +131,7 @@ static void several_grooms_are_learnt(void **state)
     (void)state;
     const char grooms[] = "[wavy, short, curly]";
     hg_train_result result;
-    session whole = begin("whole", 2, grooms, NULL);
+    trial whole = begin("whole", 2, grooms, NULL);
     hg_report before = { 0 }, after = { 0 };
     const hg_task *task = hg_hair_task_of(whole.task);
     assert_int_equal(task->validate(task->self, whole.ctx, hg_hair_model(whole.task), &before), HG_OK);
@@ -140,11 +140,11 @@ static void several_grooms_are_learnt(void **state)
     assert_true(hg_report_get(&after, "validation") < hg_report_get(&before, "validation"));
     end(&whole);
 
-    session first = begin("parts", 1, grooms, NULL);
+    trial first = begin("parts", 1, grooms, NULL);
     train(&first, false, 27, &result);
     assert_true(result.interrupted);
     end(&first);
-    session second = begin("parts", 2, grooms, NULL);
+    trial second = begin("parts", 2, grooms, NULL);
     assert_true(train(&second, true, 0, &result) == expected);
     end(&second);
 
@@ -182,7 +182,7 @@ static void several_grooms_are_learnt(void **state)
 static void grooms_that_do_not_fit_are_refused(void **state)
 {
     (void)state;
-    session s = begin(NULL, 1, NULL, "short");
+    trial s = begin(NULL, 1, NULL, "short");
     hg_groom *other = NULL;
     char path[320], list[400];
     assert_int_equal(hg_groom_grow(s.ctx, &other, hg_hair_body(s.task), "wavy", 20, 12, 1), HG_OK);

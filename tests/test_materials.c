@@ -39,11 +39,11 @@ typedef struct {
     hg_ctx *ctx;
     hg_hair_task *task;
     hg_status status;
-} session;
+} trial;
 
-static session begin(const char *run, int threads, const char *const *set)
+static trial begin(const char *run, int threads, const char *const *set)
 {
-    session s = { 0 };
+    trial s = { 0 };
     int n;
     const hg_config_row *rows = hg_hair_schema(&n);
     hg_config *config = NULL;
@@ -58,7 +58,7 @@ static session begin(const char *run, int threads, const char *const *set)
     return s;
 }
 
-static void end(session *s)
+static void end(trial *s)
 {
     hg_hair_task_destroy(s->task);
     hg_ctx_destroy(s->ctx);
@@ -66,7 +66,7 @@ static void end(session *s)
 
 static bool stop_at(void *self) { return (*(int *)self)-- == 0; }
 
-static uint64_t train(session *s, bool resume, int stop)
+static uint64_t train(trial *s, bool resume, int stop)
 {
     if (s->status != HG_OK) fail_msg("%s", hg_message());
     hg_train_options options = hg_hair_train_options(s->task);
@@ -93,7 +93,7 @@ static hg_status measure(void *self, const hg_drape_frame *frame)
     return HG_OK;
 }
 
-static double drop(session *s, double stiffness)
+static double drop(trial *s, double stiffness)
 {
     double value = 0;
     if (hg_hair_set_material(s->task, "bend_twist.stiffness", stiffness) != HG_OK) fail_msg("%s", hg_message());
@@ -106,7 +106,7 @@ static double drop(session *s, double stiffness)
 static void one_network_for_a_range(void **state)
 {
     (void)state;
-    session s = begin("range", 2, NULL);
+    trial s = begin("range", 2, NULL);
     if (s.status != HG_OK) fail_msg("%s", hg_message());
     assert_int_equal(hg_hair_materials(s.task), 1);
     const char *name, *unit;
@@ -146,13 +146,13 @@ static const char *const quick[] = {
 static void drawn_materials_resume_to_the_bit(void **state)
 {
     (void)state;
-    session whole = begin("whole", 2, quick);
+    trial whole = begin("whole", 2, quick);
     const uint64_t expected = train(&whole, false, 0);
     end(&whole);
-    session first = begin("parts", 1, quick);
+    trial first = begin("parts", 1, quick);
     train(&first, false, 17);
     end(&first);
-    session second = begin("parts", 2, quick);
+    trial second = begin("parts", 2, quick);
     assert_true(train(&second, true, 0) == expected);
     end(&second);
 }
@@ -172,7 +172,7 @@ static void a_parameter_is_learnt(void **state)
                                 "losses.bend_twist.stiffness",
                                 "1e-7",
                                 NULL };
-    session s = begin("learnt", 2, set);
+    trial s = begin("learnt", 2, set);
     const uint64_t expected = train(&s, false, 0);
     const hg_model *model = hg_hair_model(s.task);
     const hg_tensor *theta = model->params[model->n_params - 1];
@@ -191,10 +191,10 @@ static void a_parameter_is_learnt(void **state)
     assert_true(fabs(strtod(strchr(last, ':') + 1, NULL) / (1e-7 * exp(learnt)) - 1) < 0.01); /* of the step before */
     hg_free(log);
 
-    session first = begin("learnt_parts", 1, set);
+    trial first = begin("learnt_parts", 1, set);
     train(&first, false, 33);
     end(&first);
-    session second = begin("learnt_parts", 2, set);
+    trial second = begin("learnt_parts", 2, set);
     assert_true(train(&second, true, 0) == expected);
     end(&second);
     hg_ctx *ctx = NULL;
@@ -272,7 +272,7 @@ static void wrong_materials_are_refused(void **state)
     const char *const said[] = { "highest above", "is not between",   "two numbers",
                                  "not among",     "has no parameter", "input of the network already" };
     for (int i = 0; i < 6; i++) {
-        session s = begin(NULL, 1, (const char *const[]){ wrong[i][0], wrong[i][1], NULL });
+        trial s = begin(NULL, 1, (const char *const[]){ wrong[i][0], wrong[i][1], NULL });
         assert_int_equal(s.status, HG_INVALID);
         if (!strstr(hg_message(), said[i])) fail_msg("%s", hg_message());
         end(&s);
@@ -289,7 +289,7 @@ static void bf16_compute(void **state)
     const char *const same[] = {
         "training.compute", "f32", "training.steps", "60", "training.validate_every", "0", NULL
     };
-    session s = begin(NULL, 2, set);
+    trial s = begin(NULL, 2, set);
     if (s.status == HG_UNSUPPORTED) {
         assert_non_null(strstr(hg_message(), "training.compute"));
         end(&s);
@@ -302,7 +302,7 @@ static void bf16_compute(void **state)
     const hg_task *task = hg_hair_task_of(s.task);
     assert_int_equal(task->validate(task->self, s.ctx, hg_hair_model(s.task), &rounded), HG_OK);
     end(&s);
-    session p = begin(NULL, 2, same);
+    trial p = begin(NULL, 2, same);
     assert_true(train(&p, false, 0) != hash);
     task = hg_hair_task_of(p.task);
     assert_int_equal(task->validate(task->self, p.ctx, hg_hair_model(p.task), &plain), HG_OK);

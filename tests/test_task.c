@@ -70,11 +70,11 @@ static hg_config *parse(const char *text)
 typedef struct {
     hg_ctx *ctx;
     hg_hair_task *task;
-} session;
+} trial;
 
-static session begin(const char *run, int threads, const char *key, const char *value)
+static trial begin(const char *run, int threads, const char *key, const char *value)
 {
-    session s = { 0 };
+    trial s = { 0 };
     assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
     hg_config *config = parse(tiny);
     if (key) assert_int_equal(hg_config_set(config, key, value), HG_OK);
@@ -85,13 +85,13 @@ static session begin(const char *run, int threads, const char *key, const char *
     return s;
 }
 
-static void end(session *s)
+static void end(trial *s)
 {
     hg_hair_task_destroy(s->task);
     hg_ctx_destroy(s->ctx);
 }
 
-static hg_train_result train(session *s, bool resume, bool (*stop)(void *), void *self)
+static hg_train_result train(trial *s, bool resume, bool (*stop)(void *), void *self)
 {
     hg_train_options options = hg_hair_train_options(s->task);
     options.resume = resume;
@@ -103,7 +103,7 @@ static hg_train_result train(session *s, bool resume, bool (*stop)(void *), void
     return result;
 }
 
-static uint64_t weights_hash(const session *s)
+static uint64_t weights_hash(const trial *s)
 {
     const hg_model *model = hg_hair_model(s->task);
     uint64_t hash = 0;
@@ -112,7 +112,7 @@ static uint64_t weights_hash(const session *s)
     return hash;
 }
 
-static double validation(session *s)
+static double validation(trial *s)
 {
     const hg_task *task = hg_hair_task_of(s->task);
     hg_report report = { 0 };
@@ -126,7 +126,7 @@ static double validation(session *s)
 static void features_are_finite_and_of_order_one(void **state)
 {
     (void)state;
-    session s = begin(NULL, 2, NULL, NULL);
+    trial s = begin(NULL, 2, NULL, NULL);
     const hg_feature *feature;
     const int n = hg_hair_features(s.task, &feature);
     const int strand_inputs = 2 + 6 + 6, frame_inputs = 10 + 42 + 4 * 21;
@@ -173,7 +173,7 @@ static void features_are_finite_and_of_order_one(void **state)
 static void history_starts_at_rest(void **state)
 {
     (void)state;
-    session s = begin(NULL, 1, NULL, NULL);
+    trial s = begin(NULL, 1, NULL, NULL);
     const hg_motion *motion = hg_hair_clip(s.task, false, 1);
     float now[256], next[256];
     for (int64_t t = 20; t < 22; t++)
@@ -194,7 +194,7 @@ static void history_starts_at_rest(void **state)
 static void a_turning_head(void **state)
 {
     (void)state;
-    session s = begin(NULL, 1, NULL, NULL);
+    trial s = begin(NULL, 1, NULL, NULL);
     const hg_body *body = hg_hair_body(s.task);
     hg_motion *motion = NULL;
     assert_int_equal(hg_motion_create(&motion, 30, body, 30), HG_OK);
@@ -222,7 +222,7 @@ static void a_turning_head(void **state)
 static void sampling_is_pure(void **state)
 {
     (void)state;
-    session s = begin(NULL, 2, NULL, NULL), one = begin(NULL, 1, NULL, NULL);
+    trial s = begin(NULL, 2, NULL, NULL), one = begin(NULL, 1, NULL, NULL);
     const hg_task *task = hg_hair_task_of(s.task), *same = hg_hair_task_of(one.task);
     const size_t bytes = task->batch_bytes;
     assert_int_equal(bytes, same->batch_bytes);
@@ -255,7 +255,7 @@ static hg_status compare_posed(void *self, const hg_drape_frame *frame)
 static void training_lowers_the_loss(void **state)
 {
     (void)state;
-    session s = begin("learn", 2, "training.steps", "300");
+    trial s = begin("learn", 2, "training.steps", "300");
     double moved = 0;
     assert_int_equal(
         hg_hair_drape(s.task, s.ctx, hg_hair_clip(s.task, false, 0), NULL, 0, 5, 1, compare_posed, &moved, NULL),
@@ -298,19 +298,19 @@ static bool stop_at(void *self) { return (*(int *)self)-- == 0; }
 static void same_bits(void **state)
 {
     (void)state;
-    session two = begin("two", 2, NULL, NULL);
+    trial two = begin("two", 2, NULL, NULL);
     train(&two, false, NULL, NULL);
     const uint64_t expected = weights_hash(&two);
     end(&two);
-    session one = begin("one", 1, NULL, NULL);
+    trial one = begin("one", 1, NULL, NULL);
     train(&one, false, NULL, NULL);
     assert_true(weights_hash(&one) == expected);
     end(&one);
     int left = 33;
-    session first = begin("parts", 2, NULL, NULL);
+    trial first = begin("parts", 2, NULL, NULL);
     assert_true(train(&first, false, stop_at, &left).interrupted);
     end(&first);
-    session second = begin("parts", 2, NULL, NULL); /* as a new process would */
+    trial second = begin("parts", 2, NULL, NULL); /* as a new process would */
     assert_int_equal(train(&second, true, NULL, NULL).steps, 60);
     assert_true(weights_hash(&second) == expected);
     end(&second);
@@ -320,15 +320,15 @@ static void same_bits(void **state)
 static void same_bits_with_resampling(void **state)
 {
     (void)state;
-    session whole = begin("resample", 2, "training.resample_every", "8");
+    trial whole = begin("resample", 2, "training.resample_every", "8");
     train(&whole, false, NULL, NULL);
     const uint64_t expected = weights_hash(&whole);
     end(&whole);
     int left = 29;
-    session first = begin("resample_parts", 1, "training.resample_every", "8");
+    trial first = begin("resample_parts", 1, "training.resample_every", "8");
     assert_true(train(&first, false, stop_at, &left).interrupted);
     end(&first);
-    session second = begin("resample_parts", 2, "training.resample_every", "8");
+    trial second = begin("resample_parts", 2, "training.resample_every", "8");
     train(&second, true, NULL, NULL);
     assert_true(weights_hash(&second) == expected);
     end(&second);
@@ -337,7 +337,7 @@ static void same_bits_with_resampling(void **state)
 static void no_growth(void **state)
 {
     (void)state;
-    session s = begin(NULL, 2, NULL, NULL);
+    trial s = begin(NULL, 2, NULL, NULL);
     train(&s, false, NULL, NULL);
     const size_t reserved = hg_step_reserved(s.ctx);
     train(&s, false, NULL, NULL);
@@ -370,7 +370,7 @@ static hg_status take_back(void *self, const hg_drape_frame *frame)
 /* The exported formula is the trained network: raw concatenated features in, what the drape does out. */
 static void concatenated_is_the_drape(const char *output, const char *pinned)
 {
-    session s = { 0 };
+    trial s = { 0 };
     assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), HG_OK);
     hg_config *config = parse(tiny);
     assert_int_equal(hg_config_set(config, "model.output", output), HG_OK);

@@ -105,7 +105,7 @@ static hg_status resume(run *r)
     return status;
 }
 
-/* The tape of the first step of this session, as Graphviz. */
+/* The tape of the first step made, as Graphviz. */
 static hg_status draw_graph(const run *r)
 {
     if (!r->options->graph || r->state.step != r->first_step) return HG_OK;
@@ -181,9 +181,9 @@ static hg_status validate(run *r)
 static void tell(const run *r)
 {
     const hg_train_options *options = r->options;
-    const double now = elapsed(r), session = seconds_now() - r->started;
+    const double now = elapsed(r), passed = seconds_now() - r->started;
     const int64_t done = r->state.step - r->first_step;
-    const double speed = session > 0 ? (double)done / session : 0;
+    const double speed = passed > 0 ? (double)done / passed : 0;
     double left = speed > 0 ? (double)(options->steps - r->state.step) / speed : 0;
     double fraction = (double)r->state.step / (double)options->steps;
     if (options->minutes > 0) {
