@@ -102,27 +102,34 @@ static hg_status check_finite(const loss *l, const loss_array *a)
     return HG_OK;
 }
 
+/* The first of the possibilities "a|b|c": its length. */
+static size_t possibility(const char *at, char one[8])
+{
+    const size_t length = strcspn(at, "|");
+    memcpy(one, at, length < 7 ? length : 7);
+    one[length < 7 ? length : 7] = '\0';
+    return length;
+}
+
 /* Reads a dataset into the array. axes: one or more possibilities, like "|sv" for a scalar or [S,V]. */
 static hg_status read_array(loss *l, loss_array *a, const char *axes)
 {
     int rank;
     int64_t shape[6];
     char one[8];
-    if (!axes) return hg_fail(HG_INVALID, "%s: dataset \"%s\" is of no known shape", l->path, a->name);
     HG_TRY(hg_h5_shape(l->file, a->name, &rank, shape));
     for (const char *at = axes;; at++) {
-        const size_t length = strcspn(at, "|");
-        snprintf(one, sizeof one, "%.*s", (int)length, at);
+        const size_t length = possibility(at, one);
         if (fits(l, one, rank, shape)) break;
         at += length;
         if (*at) continue;
         hg_text found = { 0 }, expected = { 0 };
         for (int i = 0; i < rank; i++) hg_text_add(&found, "%s%lld", i ? "," : "", (long long)shape[i]);
         for (at = axes;; at++) {
-            snprintf(one, sizeof one, "%.*s", (int)strcspn(at, "|"), at);
+            const size_t length = possibility(at, one);
             if (at > axes) hg_text_add(&expected, " or ");
             describe(l, one, &expected);
-            at += strlen(one);
+            at += length;
             if (!*at) break;
         }
         const hg_status status = hg_fail(HG_FORMAT, "%s: dataset \"%s\" is [%s], expected %s", l->path, a->name,
