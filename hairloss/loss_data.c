@@ -126,10 +126,10 @@ static hg_status read_array(loss *l, loss_array *a, const char *axes)
         hg_text found = { 0 }, expected = { 0 };
         for (int i = 0; i < rank; i++) hg_text_add(&found, "%s%lld", i ? "," : "", (long long)shape[i]);
         for (at = axes;; at++) {
-            const size_t length = possibility(at, one);
+            const size_t next = possibility(at, one);
             if (at > axes) hg_text_add(&expected, " or ");
             describe(l, one, &expected);
-            at += length;
+            at += next;
             if (!*at) break;
         }
         const hg_status status = hg_fail(HG_FORMAT, "%s: dataset \"%s\" is [%s], expected %s", l->path, a->name,
