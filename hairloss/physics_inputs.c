@@ -240,6 +240,11 @@ static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tens
     return unknown(r, name);
 }
 
+static double real_at(hg_dtype dtype, const void *values, int64_t at)
+{
+    return dtype == HG_F64 ? ((const double *)values)[at] : (double)((const float *)values)[at];
+}
+
 /* ---- the mean deformation ----------------------------------------------------------------------------------- */
 
 static const hg_pass_value *find_frame(const hg_physics_values *values, const char *name)
@@ -263,10 +268,7 @@ static void mean_rows(const void *args, int64_t first, int64_t last)
     for (int64_t at = first; at < last; at++) {
         const int64_t begin = at / work->row * work->group * work->row + at % work->row;
         double sum = 0;
-        for (int64_t f = 0; f < work->group; f++) {
-            const int64_t k = begin + f * work->row;
-            sum += work->dtype == HG_F64 ? ((const double *)work->from)[k] : (double)((const float *)work->from)[k];
-        }
+        for (int64_t f = 0; f < work->group; f++) sum += real_at(work->dtype, work->from, begin + f * work->row);
         for (int64_t f = 0; f < work->group; f++) {
             const int64_t k = begin + f * work->row;
             if (work->dtype == HG_F64)
@@ -301,11 +303,6 @@ static hg_status make_mean(hg_physics_resolver *r)
 }
 
 /* ---- the length of the strands ------------------------------------------------------------------------------ */
-
-static double real_at(hg_dtype dtype, const void *values, int64_t at)
-{
-    return dtype == HG_F64 ? ((const double *)values)[at] : (double)((const float *)values)[at];
-}
 
 /* "strand_length" follows a rest groom that is given, where it is not given itself. */
 static hg_status make_strand_length(hg_physics_resolver *r)
@@ -431,8 +428,7 @@ void *hg_physics_gradient(hg_ctx *ctx, const hg_physics_values *values, const hg
         double sum = 0;
         for (int i = 0; i < values->n; i++)
             for (int64_t at = k; values->tensor[i] == tensor && at < values->count[i]; at += n)
-                sum += f64 ? ((const double *)values->value[i].gradient)[at]
-                           : (double)((const float *)values->value[i].gradient)[at];
+                sum += real_at(tensor->dtype, values->value[i].gradient, at);
         if (f64)
             ((double *)to)[k] = sum;
         else
