@@ -3,7 +3,8 @@
  *     generate_texts OUT.c NAME FILE... [-- NAME FILE...]...
  *
  * gives `const char NAME[]`, the files one after the other without the lines that include each other (#include "..."). A
- * NAME that ends in "=" is kept as it is, includes and all. Run while the library is built. */
+ * NAME that ends in "=" is kept as it is, includes and all. With a NAME that ends in "[]" the files are kept apart, under their
+ * paths from the root of the sources: `hg_kernel_file NAME[]` of tensor/cuda/device.h. Run while the library is built. */
 #include <stdio.h>
 #include <string.h>
 
@@ -20,6 +21,28 @@ static int put_file(FILE *to, const char *path, int whole)
     return fclose(from) == 0;
 }
 
+/* The files from words[i] on, up to "--": where the words go on. */
+static int put_table(FILE *to, const char *name, int count, char **words, int i)
+{
+    const int first = i, length = (int)strlen(name) - 2;
+    for (; i < count && strcmp(words[i], "--") != 0; i++) {
+        fprintf(to, "static const char file_%d[] = {\n", i);
+        if (!put_file(to, words[i], 1)) return fprintf(stderr, "generate_texts: %s cannot be read\n", words[i]), -1;
+        fprintf(to, "0 };\n");
+    }
+    fprintf(to,
+            "typedef struct { const char *name, *text; } hg_kernel_file;\nextern const hg_kernel_file %.*s[];\n"
+            "const hg_kernel_file %.*s[] = {\n",
+            length, name, length, name);
+    for (int k = first; k < i; k++) {
+        const char *path = words[k]; /* the build folder lies below the root */
+        while (strncmp(path, "../", 3) == 0) path += 3;
+        fprintf(to, "{ \"%s\", file_%d },\n", path, k);
+    }
+    fprintf(to, "{ \"math.h\", \"\" }, { \"stdint.h\", \"\" }, { \"string.h\", \"\" }, { 0, 0 } };\n");
+    return i;
+}
+
 int main(int count, char **words)
 {
     FILE *to = count > 1 ? fopen(words[1], "w") : NULL;
@@ -30,6 +53,11 @@ int main(int count, char **words)
     fprintf(to, "/* Made by base/generate_texts.c. */\n");
     for (int i = 2; i < count; i++) {
         const size_t length = strlen(words[i]);
+        if (length > 2 && strcmp(words[i] + length - 2, "[]") == 0) {
+            i = put_table(to, words[i], count, words, i + 1);
+            if (i < 0) return 1;
+            continue;
+        }
         const int whole = length > 0 && words[i][length - 1] == '=';
         fprintf(to, "extern const char %.*s[];\nconst char %.*s[] = {\n", (int)length - whole, words[i],
                 (int)length - whole, words[i]);

@@ -156,6 +156,9 @@ const char *hg_physics_backend_note(const hg_physics *physics);                 
  * parameter that makes a list. What is asked for changes the program (what is differentiated is not hoisted): a few
  * combinations are kept, so that a training step does not trace again. */
 hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted);
+/* The unweighted energies [n] f64 of the last call, on the context's device, good until the step is over. With `unweighted` NULL
+ * and this instead, the host waits for nothing. */
+hg_tensor *hg_physics_unweighted(const hg_physics *physics);
 /* The same without a tape: energy per strand and term [B,S,n] f64 (may be NULL), gradient [B,S,V,3] (may be NULL). */
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
 #ifndef HG_NO_CALLER

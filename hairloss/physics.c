@@ -53,6 +53,7 @@ struct hg_physics {
     int32_t *triangles;     /* [B,S,V] the last closest triangles: guesses for the next call */
     int64_t frames;         /* how many the two have room for */
     double *sums;           /* [n] */
+    hg_tensor *unweighted;  /* [n] of the last call on the tape, of its step */
 };
 
 int hg_physics_terms(const hg_physics *physics) { return physics->n; }
@@ -468,6 +469,8 @@ hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *
     return check_trap(physics, ctx, frame, x);
 }
 
+hg_tensor *hg_physics_unweighted(const hg_physics *physics) { return physics->unweighted; }
+
 /* ---- on the tape -------------------------------------------------------------------------------------------- */
 
 typedef struct {
@@ -529,6 +532,9 @@ static hg_status physics_forward(hg_call *call)
     double total = 0;
     for (int t = 0; t < p->n; t++) total += p->terms[t].weight * p->sums[t];
     if (attributes->unweighted) memcpy(attributes->unweighted, p->sums, (size_t)p->n * sizeof(double));
+    p->unweighted = hg_tensor_make(call->ctx, HG_F64, 1, (int64_t[]){ p->n });
+    if (!p->unweighted) return HG_MEMORY;
+    HG_TRY(hg_tensor_write(p->unweighted, p->sums));
     return hg_tensor_fill(call->out, total);
 }
 

@@ -35,7 +35,7 @@ static void free_chunks(hg_arena *arena)
 {
     for (int i = 0; i < arena->n_chunks; i++) {
         open_memory(arena, arena->chunks[i].memory, arena->chunks[i].size);
-        arena->device->free(arena->chunks[i].memory);
+        arena->device->free(arena->device, arena->chunks[i].memory);
     }
     hg_free(arena->chunks);
     arena->chunks = NULL;
@@ -49,7 +49,7 @@ static bool add_chunk(hg_arena *arena, size_t size)
         hg_resize(arena->chunks, (size_t)arena->n_chunks, (size_t)arena->n_chunks + 1, sizeof *chunks);
     if (!chunks) return false;
     arena->chunks = chunks;
-    unsigned char *memory = arena->device->alloc(size);
+    unsigned char *memory = arena->device->alloc(arena->device, size);
     if (!memory) return false;
     chunks[arena->n_chunks++] = (hg_arena_chunk){ .memory = memory, .size = size };
     arena->reserved += size;

@@ -13,7 +13,7 @@ typedef struct {
 } hg_arena_chunk;
 
 typedef struct {
-    const hg_device *device;
+    hg_device *device;
     hg_arena_chunk *chunks;
     int n_chunks, current;
     bool guard;

@@ -8,24 +8,38 @@
 
 /* ---- life ---- */
 
-static const hg_device *const devices[] = { &hg_cpu_device };
+/* "cpu", "cuda", "cuda:1", "auto". */
+static hg_status open_device(hg_device **device, const char *name)
+{
+    int number = 0;
+    *device = hg_cpu_device();
+    if (!name || !name[0] || strcmp(name, "cpu") == 0) return HG_OK;
+    if (strcmp(name, "auto") == 0) {
+        hg_device *cuda;
+        if (hg_cuda_open(&cuda, 0) == HG_OK) *device = cuda;
+        return HG_OK;
+    }
+    if (strcmp(name, "cuda") == 0 || (sscanf(name, "cuda:%d", &number) == 1 && number >= 0))
+        return hg_cuda_open(device, number);
+    return hg_fail(HG_UNSUPPORTED, "device \"%s\" is not known: cpu, cuda, cuda:NUMBER and auto are", name);
+}
 
 hg_status hg_ctx_create(hg_ctx **ctx, const hg_ctx_options *options)
 {
     *ctx = NULL;
-    const char *name = options && options->device ? options->device : "cpu";
-    const hg_device *device = NULL;
-    for (size_t i = 0; i < sizeof devices / sizeof *devices; i++)
-        if (strcmp(devices[i]->name, name) == 0) device = devices[i];
-    if (!device) return hg_fail(HG_UNSUPPORTED, "device \"%s\" is not built into this library: use \"cpu\"", name);
     int threads = options ? options->threads : 0;
     if (threads < 0) return hg_fail(HG_INVALID, "threads is %d: give 1 or more, or 0 for all cores", threads);
+    hg_device *device;
+    HG_TRY(open_device(&device, options ? options->device : NULL));
     hg_ctx *c = hg_alloc(1, sizeof *c);
-    if (!c) return HG_MEMORY;
+    if (!c) {
+        if (device->close) device->close(device);
+        return HG_MEMORY;
+    }
     c->device = device;
     c->threads = threads > 0 ? threads : omp_get_max_threads();
     c->seed = options ? options->seed : 0;
-    c->host.device = &hg_cpu_device;
+    c->host.device = hg_cpu_device();
     c->data.device = device;
     *ctx = c;
     return HG_OK;
@@ -40,13 +54,16 @@ void hg_ctx_destroy(hg_ctx *ctx)
     hg_profile_stop(ctx);
     hg_arena_free(&ctx->host);
     hg_arena_free(&ctx->data);
-    if (ctx->workspace) ctx->device->free(ctx->workspace);
+    if (ctx->workspace) ctx->device->free(ctx->device, ctx->workspace);
+    if (ctx->device->close) ctx->device->close(ctx->device);
     hg_free(ctx);
 }
 
 uint64_t hg_ctx_seed(const hg_ctx *ctx) { return ctx->seed; }
 int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
 const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
+bool hg_ctx_host(const hg_ctx *ctx) { return ctx->device->host; }
+hg_device_counts hg_ctx_counts(const hg_ctx *ctx) { return ctx->device->counts; }
 hg_dtype hg_ctx_compute_dtype(const hg_ctx *ctx) { return ctx->compute; }
 void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
 
@@ -54,9 +71,7 @@ hg_status hg_ctx_compute(hg_ctx *ctx, hg_dtype dtype)
 {
     if (dtype != HG_F32 && dtype != HG_BF16)
         return hg_fail(HG_INVALID, "compute in %s: f32 and bf16 are possible", hg_dtype_name(dtype));
-    if (dtype == HG_BF16 && !hg_cpu_has_bf16())
-        return hg_fail(HG_UNSUPPORTED, "compute in bf16: this processor has no bf16 instructions (avx512_bf16), so f32 "
-                                       "would be faster; use f32");
+    HG_TRY(ctx->device->compute(ctx->device, dtype));
     ctx->compute = dtype;
     return HG_OK;
 }
@@ -130,6 +145,15 @@ void *hg_step_alloc(hg_ctx *ctx, size_t bytes)
     return memory;
 }
 
+void *hg_step_device(hg_ctx *ctx, size_t bytes)
+{
+    void *memory = hg_arena_alloc(&ctx->data, bytes);
+    if (!memory)
+        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %zu bytes of the device for the step%s%s", bytes,
+                    ctx->device->host ? "" : ": ", ctx->device->host ? "" : hg_message());
+    return memory;
+}
+
 void hg_step_reset(hg_ctx *ctx)
 {
     for (int i = 0; i < HG_HOOKS; i++)
@@ -174,8 +198,39 @@ hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void 
 {
     if (n < 0) return hg_ctx_fail(ctx, HG_INVALID, "%s: launched over %lld indices", kernel->name, (long long)n);
     if (n == 0) return HG_OK;
-    hg_status status = ctx->device->launch(ctx->threads, kernel, n, args);
+    hg_status status = ctx->device->launch(ctx->device, ctx->threads, kernel, n, args);
     return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
+}
+
+bool hg_launches(const hg_ctx *ctx, const hg_kernel *kernel) { return ctx->device->launches(ctx->device, kernel); }
+
+void hg_kernel_release(hg_ctx *ctx, const hg_kernel *kernel)
+{
+    if (ctx->device->forget) ctx->device->forget(ctx->device, kernel);
+}
+
+static hg_status told(hg_ctx *ctx, hg_status status)
+{
+    return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
+}
+
+hg_status hg_ctx_wait(hg_ctx *ctx) { return told(ctx, ctx->device->wait(ctx->device)); }
+
+hg_status hg_step_record(hg_ctx *ctx)
+{
+    return ctx->device->record ? told(ctx, ctx->device->record(ctx->device)) : HG_OK;
+}
+
+hg_status hg_step_run(hg_ctx *ctx) { return ctx->device->run ? told(ctx, ctx->device->run(ctx->device)) : HG_OK; }
+
+int hg_devices(hg_device_info *infos, int room)
+{
+    if (room > 0) {
+        infos[0] = (hg_device_info){ .name = "cpu" };
+        snprintf(infos[0].what, sizeof infos[0].what, "%d threads%s", omp_get_max_threads(),
+                 hg_cpu_has_bf16() ? ", bf16 products" : "");
+    }
+    return 1 + hg_cuda_list(infos + 1, room > 1 ? room - 1 : 0);
 }
 
 hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
@@ -191,15 +246,15 @@ hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpo
                            "k %lld, lda %lld, ldb %lld, ldc %lld",
                            (long long)m, (long long)n, (long long)k, (long long)lda, (long long)ldb, (long long)ldc);
     if (m == 0 || n == 0) return HG_OK;
-    size_t bytes = ctx->device->product_workspace(dtype, transpose_a, m, n, k);
+    size_t bytes = ctx->device->product_workspace(ctx->device, dtype, transpose_a, m, n, k);
     if (bytes > ctx->workspace_bytes) {
-        void *workspace = ctx->device->alloc(bytes);
+        void *workspace = ctx->device->alloc(ctx->device, bytes);
         if (!workspace) return hg_ctx_fail(ctx, HG_MEMORY, "product: out of memory: %zu bytes", bytes);
-        if (ctx->workspace) ctx->device->free(ctx->workspace);
+        if (ctx->workspace) ctx->device->free(ctx->device, ctx->workspace);
         ctx->workspace = workspace;
         ctx->workspace_bytes = bytes;
     }
-    hg_status status = ctx->device->product(ctx->threads, dtype, transpose_a, transpose_b, m, n, k, alpha, a, lda, b,
-                                            ldb, beta, c, ldc, ctx->workspace);
+    hg_status status = ctx->device->product(ctx->device, ctx->threads, dtype, transpose_a, transpose_b, m, n, k, alpha,
+                                            a, lda, b, ldb, beta, c, ldc, ctx->workspace);
     return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
 }

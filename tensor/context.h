@@ -7,7 +7,7 @@
 enum { HG_HOOKS = 8, HG_CTX_MESSAGE = 1024 };
 
 struct hg_ctx {
-    const hg_device *device;
+    hg_device *device;
     int threads;
     uint64_t seed;
     hg_dtype compute;

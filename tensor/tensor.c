@@ -1,5 +1,6 @@
 /* Tensors: making, moving, viewing, converting. */
 #include "tensor/context.h"
+#include "tensor/tensor.kernel.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -7,21 +8,8 @@
 
 /* ---- bf16 ---- */
 
-uint16_t hg_bf16_from_f32(float x)
-{
-    uint32_t bits;
-    memcpy(&bits, &x, sizeof bits);
-    if (isnan(x)) return (uint16_t)(bits >> 16 | 0x40); /* quiet, and never rounded up to infinity */
-    return (uint16_t)((bits + 0x7FFF + (bits >> 16 & 1)) >> 16);
-}
-
-float hg_f32_from_bf16(uint16_t x)
-{
-    uint32_t bits = (uint32_t)x << 16;
-    float value;
-    memcpy(&value, &bits, sizeof value);
-    return value;
-}
+uint16_t hg_bf16_from_f32(float x) { return bf16_of_f32(x); }
+float hg_f32_from_bf16(uint16_t x) { return f32_of_bf16(x); }
 
 /* ---- making ---- */
 
@@ -65,6 +53,15 @@ static hg_status describe(hg_tensor *tensor, hg_ctx *ctx, hg_dtype dtype, int ra
     return HG_OK;
 }
 
+/* Why a device had no memory: what is free there. */
+static const char *device_says(const hg_ctx *ctx)
+{
+    static _Thread_local char text[256];
+    text[0] = 0;
+    if (!ctx->device->host) snprintf(text, sizeof text, " (%s)", hg_message());
+    return text;
+}
+
 hg_tensor *hg_tensor_wrap(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, void *data)
 {
     if (ctx->status != HG_OK) return NULL;
@@ -81,11 +78,18 @@ hg_tensor *hg_tensor_make(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *
     char text[96];
     tensor->data = hg_arena_alloc(&ctx->data, hg_tensor_bytes(tensor));
     if (!tensor->data) {
-        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %s takes %zu bytes beside the %zu of this step",
-                    hg_shape_text(tensor, text), hg_tensor_bytes(tensor), hg_step_bytes(ctx));
+        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %s takes %zu bytes beside the %zu of this step%s",
+                    hg_shape_text(tensor, text), hg_tensor_bytes(tensor), hg_step_bytes(ctx), device_says(ctx));
         return NULL;
     }
     return tensor;
+}
+
+hg_tensor *hg_tensor_from(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, const void *host)
+{
+    if (ctx->device->host) return hg_tensor_wrap(ctx, dtype, rank, shape, (void *)(uintptr_t)host);
+    hg_tensor *tensor = hg_tensor_make(ctx, dtype, rank, shape);
+    return tensor && hg_tensor_write(tensor, host) == HG_OK ? tensor : NULL;
 }
 
 hg_tensor *hg_tensor_create(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape)
@@ -100,13 +104,14 @@ hg_tensor *hg_tensor_create(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t
     char text[96];
     size_t bytes = hg_tensor_bytes(tensor);
     tensor->owned = true;
-    tensor->data = ctx->device->alloc(bytes ? bytes : HG_ALIGNMENT);
+    tensor->data = ctx->device->alloc(ctx->device, bytes ? bytes : HG_ALIGNMENT);
     if (!tensor->data) {
-        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %s takes %zu bytes", hg_shape_text(tensor, text), bytes);
+        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: %s takes %zu bytes%s", hg_shape_text(tensor, text), bytes,
+                    device_says(ctx));
         goto failed;
     }
     if (hg_tensor_fill(tensor, 0) == HG_OK) return tensor;
-    ctx->device->free(tensor->data);
+    ctx->device->free(ctx->device, tensor->data);
 failed:
     hg_free(tensor);
     return NULL;
@@ -118,7 +123,7 @@ void hg_tensor_destroy(hg_tensor *tensor)
     hg_ctx *ctx = tensor->ctx;
     for (int i = 0; i < HG_HOOKS; i++)
         if (ctx->on_tensor_destroy[i]) ctx->on_tensor_destroy[i](tensor);
-    if (!tensor->base) ctx->device->free(tensor->data);
+    if (!tensor->base) ctx->device->free(ctx->device, tensor->data);
     hg_free(tensor);
 }
 
@@ -152,7 +157,7 @@ void hg_tensor_touch(hg_tensor *tensor)
 hg_status hg_tensor_write(hg_tensor *tensor, const void *from)
 {
     size_t bytes = hg_tensor_bytes(tensor);
-    if (bytes) HG_TRY(tensor->ctx->device->upload(tensor->data, from, bytes));
+    if (bytes) HG_TRY(tensor->ctx->device->upload(tensor->ctx->device, tensor->data, from, bytes));
     hg_tensor_touch(tensor);
     return HG_OK;
 }
@@ -160,109 +165,27 @@ hg_status hg_tensor_write(hg_tensor *tensor, const void *from)
 hg_status hg_tensor_read(const hg_tensor *tensor, void *to)
 {
     size_t bytes = hg_tensor_bytes(tensor);
-    return bytes ? tensor->ctx->device->download(to, tensor->data, bytes) : HG_OK;
-}
-
-typedef struct {
-    void *data;
-    hg_dtype dtype;
-    double value;
-} fill_args;
-
-static void fill_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const fill_args *args = memory;
-    switch (args->dtype) {
-    case HG_F32:
-        for (int64_t i = first; i < last; i++) ((float *)args->data)[i] = (float)args->value;
-        break;
-    case HG_F64:
-        for (int64_t i = first; i < last; i++) ((double *)args->data)[i] = args->value;
-        break;
-    case HG_I32:
-        for (int64_t i = first; i < last; i++) ((int32_t *)args->data)[i] = (int32_t)args->value;
-        break;
-    case HG_BF16:
-        for (int64_t i = first; i < last; i++) ((uint16_t *)args->data)[i] = hg_bf16_from_f32((float)args->value);
-        break;
-    }
+    return bytes ? tensor->ctx->device->download(tensor->ctx->device, to, tensor->data, bytes) : HG_OK;
 }
 
 hg_status hg_tensor_fill(hg_tensor *tensor, double value)
 {
-    static const hg_kernel kernel = { .name = "fill", .args_size = sizeof(fill_args), .cpu = fill_cpu, .block = 65536 };
-    fill_args args = { tensor->data, tensor->dtype, value };
+    const fill_args args = { tensor->data, value, (int)tensor->dtype };
     if (tensor->dtype == HG_I32 && !(value >= INT32_MIN && value <= INT32_MAX))
         return hg_ctx_fail(tensor->ctx, HG_INVALID, "fill: %g does not fit in i32", value);
-    HG_TRY(hg_launch(tensor->ctx, &kernel, hg_tensor_count(tensor), &args));
+    HG_TRY(hg_launch(tensor->ctx, &fill_kernel, hg_tensor_count(tensor), &args));
     hg_tensor_touch(tensor);
     return HG_OK;
 }
 
-typedef struct {
-    void *to;
-    const void *from;
-    hg_dtype to_dtype, from_dtype;
-} copy_args;
-
-static inline double load(const void *data, hg_dtype dtype, int64_t i)
-{
-    switch (dtype) {
-    case HG_F32:
-        return (double)((const float *)data)[i];
-    case HG_F64:
-        return ((const double *)data)[i];
-    case HG_I32:
-        return ((const int32_t *)data)[i];
-    case HG_BF16:
-        return (double)hg_f32_from_bf16(((const uint16_t *)data)[i]);
-    }
-    return (double)NAN;
-}
-
-/* A number that i32 cannot hold becomes the nearest that it can, NaN becomes 0: defined, where C leaves it open. */
-static inline int32_t to_i32(double x)
-{
-    return x != x ? 0 : x <= INT32_MIN ? INT32_MIN : x >= INT32_MAX ? INT32_MAX : (int32_t)x;
-}
-
-static void copy_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const copy_args *args = memory;
-    if (args->to_dtype == args->from_dtype) {
-        size_t size = hg_dtype_size(args->to_dtype);
-        memcpy((unsigned char *)args->to + (size_t)first * size,
-               (const unsigned char *)args->from + (size_t)first * size, (size_t)(last - first) * size);
-        return;
-    }
-    for (int64_t i = first; i < last; i++) {
-        double value = load(args->from, args->from_dtype, i);
-        switch (args->to_dtype) {
-        case HG_F32:
-            ((float *)args->to)[i] = (float)value;
-            break;
-        case HG_F64:
-            ((double *)args->to)[i] = value;
-            break;
-        case HG_I32:
-            ((int32_t *)args->to)[i] = to_i32(value);
-            break;
-        case HG_BF16:
-            ((uint16_t *)args->to)[i] = hg_bf16_from_f32((float)value);
-            break;
-        }
-    }
-}
-
 hg_status hg_tensor_copy(hg_tensor *to, const hg_tensor *from)
 {
-    static const hg_kernel kernel = { .name = "copy", .args_size = sizeof(copy_args), .cpu = copy_cpu, .block = 65536 };
     char a[96], b[96];
     if (hg_tensor_count(to) != hg_tensor_count(from))
         return hg_ctx_fail(to->ctx, HG_INVALID, "copy: %s into %s: the counts differ", hg_shape_text(from, a),
                            hg_shape_text(to, b));
-    copy_args args = { to->data, from->data, to->dtype, from->dtype };
-    HG_TRY(hg_launch(to->ctx, &kernel, hg_tensor_count(to), &args));
+    const copy_args args = { to->data, from->data, (int)to->dtype, (int)from->dtype };
+    HG_TRY(hg_launch(to->ctx, &copy_kernel, hg_tensor_count(to), &args));
     hg_tensor_touch(to);
     return HG_OK;
 }
@@ -273,7 +196,7 @@ double hg_tensor_item(const hg_tensor *tensor, int64_t i)
     unsigned char bytes[8];
     size_t size = hg_dtype_size(tensor->dtype);
     const unsigned char *at = (const unsigned char *)tensor->data + (size_t)i * size;
-    if (tensor->ctx->device->download(bytes, at, size) != HG_OK) return (double)NAN;
+    if (tensor->ctx->device->download(tensor->ctx->device, bytes, at, size) != HG_OK) return (double)NAN;
     double value = 0;
     switch (tensor->dtype) {
     case HG_F32: {

@@ -49,7 +49,8 @@ typedef struct hg_tensor {
 
 /* ---- context ------------------------------------------------------------------------------------------------ */
 
-typedef struct { int threads; uint64_t seed; const char *device; } hg_ctx_options; /* threads 0: all cores; device NULL or "cpu" */
+/* threads 0: all cores. device NULL or "cpu"; "cuda" or "cuda:1"; "auto": cuda where it works, else cpu. */
+typedef struct { int threads; uint64_t seed; const char *device; } hg_ctx_options;
 
 /* Tensors that the caller owns are destroyed before their context. */
 hg_status   hg_ctx_create(hg_ctx **ctx, const hg_ctx_options *options);
@@ -60,7 +61,8 @@ void        hg_ctx_clear(hg_ctx *ctx);                           /* forget the e
 hg_status   hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...) HG_PRINTF(3, 4); /* first one wins; also sets hg_message */
 uint64_t    hg_ctx_seed(const hg_ctx *ctx);
 int         hg_ctx_threads(const hg_ctx *ctx);
-const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu" */
+const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu", "cuda" */
+bool        hg_ctx_host(const hg_ctx *ctx);                      /* may `data` be read and written by the processor? */
 /* In what the factors of a layer's products (hg_linear of more than 256 rows, forward and both gradients) are rounded:
  * HG_F32 (default) or HG_BF16, summed in f32 either way; tensors, weights and everything else stay f32. HG_UNSUPPORTED where
  * the processor has no bf16 instructions: then it stays HG_F32. */
@@ -72,9 +74,28 @@ void      **hg_ctx_tape(hg_ctx *ctx);                            /* autograd's s
 hg_ctx *hg_at(hg_ctx *ctx, const char *file, int line);
 const char *hg_ctx_caller(const hg_ctx *ctx, int *line);
 
+/* ---- devices ------------------------------------------------------------------------------------------------ */
+
+/* What there is, cpu first. A device that cannot be used is listed too, with the reason; nothing is started that was not. */
+typedef struct { char name[16], what[128], versions[256], why[256]; /* why not, one sentence; "" where it works */ size_t memory, free; } hg_device_info;
+int       hg_devices(hg_device_info *infos, int room);           /* how many there are */
+hg_status hg_ctx_wait(hg_ctx *ctx);                              /* until all that was launched is done; errors of it come out here */
+
+/* Between these two, launches, products and copies are not run but kept, and run at the end; when they are the same as those
+ * of the last time (kernels, sizes, arguments), they are replayed as one. Reading a tensor in between runs what was kept so far.
+ * A device that has no such thing (cpu) runs everything at once. */
+hg_status hg_step_record(hg_ctx *ctx);
+hg_status hg_step_run(hg_ctx *ctx);
+
+/* Of the context since it was made: kernels and library calls, replays of a whole step, times that the host waited for the device
+ * inside of a record, and bytes to and from the host. Zero on the cpu but for launches. */
+typedef struct { int64_t launches, replays, waits, uploaded, downloaded; } hg_device_counts;
+hg_device_counts hg_ctx_counts(const hg_ctx *ctx);
+
 /* ---- step arena --------------------------------------------------------------------------------------------- */
 
-void  *hg_step_alloc(hg_ctx *ctx, size_t bytes);                 /* 64-byte aligned, not zeroed, gone at hg_step_reset; NULL sets the error */
+void  *hg_step_alloc(hg_ctx *ctx, size_t bytes);                 /* of the host; 64-byte aligned, not zeroed, gone at hg_step_reset; NULL sets the error */
+void  *hg_step_device(hg_ctx *ctx, size_t bytes);                /* the same in the device's memory, for what kernels read and write */
 void   hg_step_reset(hg_ctx *ctx);                               /* everything made in the step is gone; memory is kept for the next */
 size_t hg_step_bytes(const hg_ctx *ctx);                         /* in use now */
 size_t hg_step_high_water(const hg_ctx *ctx);                    /* most ever in use */
@@ -96,6 +117,7 @@ hg_status hg_step_check(hg_ctx *ctx);
 hg_tensor *hg_tensor_make(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape);    /* in the step arena, not zeroed */
 hg_tensor *hg_tensor_create(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape);  /* the caller's, zeroed; hg_tensor_destroy */
 hg_tensor *hg_tensor_wrap(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, void *data); /* step tensor over the caller's device memory */
+hg_tensor *hg_tensor_from(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, const void *host); /* step tensor of the host's numbers, which stay as they are until the step is over: not copied on the cpu */
 void       hg_tensor_destroy(hg_tensor *tensor);                 /* NULL is fine */
 int64_t    hg_tensor_count(const hg_tensor *tensor);             /* elements */
 size_t     hg_tensor_bytes(const hg_tensor *tensor);
@@ -110,16 +132,23 @@ const char *hg_shape_text(const hg_tensor *tensor, char text[96]); /* "f32 [3,4]
 
 /* ---- kernels ------------------------------------------------------------------------------------------------ */
 
-/* One body over an index range. `cuda` is the same body as text for NVRTC (NULL until it has one). `block` is how many
- * indices one block takes (0: 4096); it is part of the result where a kernel reduces, and never depends on threads. */
+/* One body over an index range; tensor/kernel.h makes one from a text that both the processor and a GPU understand. `block` is
+ * how many indices one block of the processor takes (0: 4096); it is part of the result where a kernel reduces, and never
+ * depends on threads. For a GPU: `cuda` is the name of a *.kernel.h that the library carries (any path that ends in it), or a
+ * text of its own; the function in it is `name`_cuda(args, int64_t n). NULL: the kernel is the processor's only. */
 typedef struct {
     const char *name, *cuda;
     size_t args_size;
-    void (*cpu)(const void *args, int64_t first, int64_t last);
+    void (*cpu)(const void *args, int64_t first, int64_t last); /* NULL: the GPU's only */
     int64_t block;
+    int threads;   /* of a block of the GPU, 0: 256 */
+    int indices;   /* that a block of the GPU takes; 0: one for each of its threads */
+    size_t shared; /* dynamic shared memory of a block of the GPU, bytes */
 } hg_kernel;
 
 hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void *args);
+bool      hg_launches(const hg_ctx *ctx, const hg_kernel *kernel); /* has it a body for the context's device? */
+void      hg_kernel_release(hg_ctx *ctx, const hg_kernel *kernel); /* before a kernel that is not static, or its text, goes; a device knows it by its address */
 
 /* C = alpha op(A) op(B) + beta C, row-major; op(A) is [m,k], op(B) is [k,n]; ld = elements from row to row as stored.
  * f32 through oneDNN single-threaded on fixed blocks, f64 by plain loops. Sums over k are cut in fixed chunks. */

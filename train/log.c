@@ -15,6 +15,25 @@ void hg_report_add(hg_report *report, const char *name, double value)
     report->n++;
 }
 
+void hg_report_later(hg_report *report, const char *name, const hg_tensor *from, int64_t at, double scale)
+{
+    const int n = report->n;
+    hg_report_add(report, name, (double)NAN);
+    if (report->n == n) return;
+    report->item[n].from = from;
+    report->item[n].at = at;
+    report->item[n].scale = scale;
+}
+
+void hg_report_settle(hg_report *report)
+{
+    for (int i = 0; i < report->n; i++) {
+        if (!report->item[i].from) continue;
+        report->item[i].value = report->item[i].scale * hg_tensor_item(report->item[i].from, report->item[i].at);
+        report->item[i].from = NULL;
+    }
+}
+
 double hg_report_get(const hg_report *report, const char *name)
 {
     for (int i = 0; report && i < report->n; i++)

@@ -22,8 +22,15 @@ extern "C" {
 
 /* Named numbers of a step or a validation: weighted and unweighted terms, norms, metrics. Added in order. */
 #define HG_REPORT_MAX 64
-typedef struct { int n; struct { const char *name; double value; } item[HG_REPORT_MAX]; } hg_report; /* names are kept by pointer */
+typedef struct {
+    int n;
+    struct { const char *name; double value; const hg_tensor *from; int64_t at; double scale; } item[HG_REPORT_MAX]; /* names are kept by pointer */
+} hg_report;
 void   hg_report_add(hg_report *report, const char *name, double value);
+/* value = scale * element `at` of a tensor of the step, read when the report is wanted (hg_report_settle, before the step is over):
+ * a device is not waited for in every step. */
+void   hg_report_later(hg_report *report, const char *name, const hg_tensor *from, int64_t at, double scale);
+void   hg_report_settle(hg_report *report);
 double hg_report_get(const hg_report *report, const char *name); /* NAN when absent */
 
 typedef struct {

@@ -5,22 +5,31 @@
 #include <stdlib.h>
 #include <string.h>
 
-static void *alloc(size_t bytes)
+static void *alloc(hg_device *device, size_t bytes)
 {
+    (void)device;
     if (bytes > SIZE_MAX - 64) return NULL;
     return aligned_alloc(64, (bytes + 63) / 64 * 64);
 }
 
-static hg_status copy(void *to, const void *from, size_t bytes)
+static void release(hg_device *device, void *memory)
 {
+    (void)device;
+    free(memory);
+}
+
+static hg_status copy(hg_device *device, void *to, const void *from, size_t bytes)
+{
+    (void)device;
     memcpy(to, from, bytes);
     return HG_OK;
 }
 
 int hg_worker(void) { return omp_get_thread_num(); }
 
-hg_status hg_cpu_launch(int threads, const hg_kernel *kernel, int64_t n, const void *args)
+hg_status hg_cpu_launch(hg_device *device, int threads, const hg_kernel *kernel, int64_t n, const void *args)
 {
+    (void)device;
     if (!kernel->cpu) return hg_fail(HG_UNSUPPORTED, "%s: this kernel has no body for the cpu", kernel->name);
     int64_t block = kernel->block > 0 ? kernel->block : 4096;
     int64_t blocks = (n + block - 1) / block;
@@ -35,14 +44,34 @@ hg_status hg_cpu_launch(int threads, const hg_kernel *kernel, int64_t n, const v
     return HG_OK;
 }
 
-const hg_device hg_cpu_device = {
-    .name = "cpu",
-    .host = true,
-    .alloc = alloc,
-    .free = free,
-    .upload = copy,
-    .download = copy,
-    .launch = hg_cpu_launch,
-    .product_workspace = hg_cpu_product_workspace,
-    .product = hg_cpu_product,
-};
+static hg_status wait(hg_device *device) { return (void)device, HG_OK; }
+
+static bool launches(const hg_device *device, const hg_kernel *kernel) { return (void)device, kernel->cpu != NULL; }
+
+static hg_status compute(hg_device *device, hg_dtype dtype)
+{
+    (void)device;
+    if (dtype == HG_F32 || hg_cpu_has_bf16()) return HG_OK;
+    return hg_fail(HG_UNSUPPORTED,
+                   "compute in bf16: this processor has no bf16 instructions (avx512_bf16), so f32 would be "
+                   "faster; use f32");
+}
+
+hg_device *hg_cpu_device(void)
+{
+    static hg_device device = {
+        .name = "cpu",
+        .host = true,
+        .alloc = alloc,
+        .free = release,
+        .upload = copy,
+        .download = copy,
+        .wait = wait,
+        .launch = hg_cpu_launch,
+        .launches = launches,
+        .product_workspace = hg_cpu_product_workspace,
+        .product = hg_cpu_product,
+        .compute = compute,
+    };
+    return &device;
+}

@@ -142,16 +142,17 @@ static int64_t chunk_length(int64_t k)
 
 static bool chunked(hg_dtype dtype, bool transpose_a, int64_t k) { return dtype == HG_F32 && transpose_a && k > ROWS; }
 
-size_t hg_cpu_product_workspace(hg_dtype dtype, bool transpose_a, int64_t m, int64_t n, int64_t k)
+size_t hg_cpu_product_workspace(hg_device *device, hg_dtype dtype, bool transpose_a, int64_t m, int64_t n, int64_t k)
 {
+    (void)device;
     if (!chunked(dtype, transpose_a, k)) return 0;
     int64_t length = chunk_length(k);
     return (size_t)((k + length - 1) / length * m * n) * sizeof(float);
 }
 
-hg_status hg_cpu_product(int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n,
-                         int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta,
-                         void *c, int64_t ldc, void *workspace)
+hg_status hg_cpu_product(hg_device *device, int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m,
+                         int64_t n, int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb,
+                         double beta, void *c, int64_t ldc, void *workspace)
 {
     static const hg_kernel block = {
         .name = "product", .args_size = sizeof(product_args), .cpu = block_cpu, .block = 1
@@ -180,9 +181,9 @@ hg_status hg_cpu_product(int threads, hg_dtype dtype, bool transpose_a, bool tra
         args.partial = workspace;
         args.chunk = chunk_length(k);
         args.chunks = (k + args.chunk - 1) / args.chunk;
-        HG_TRY(hg_cpu_launch(threads, &chunk, args.chunks, &args));
-        return hg_cpu_launch(threads, &tree, m * n, &args);
+        HG_TRY(hg_cpu_launch(device, threads, &chunk, args.chunks, &args));
+        return hg_cpu_launch(device, threads, &tree, m * n, &args);
     }
     args.columns = (n + COLUMNS - 1) / COLUMNS;
-    return hg_cpu_launch(threads, &block, (m + ROWS - 1) / ROWS * args.columns, &args);
+    return hg_cpu_launch(device, threads, &block, (m + ROWS - 1) / ROWS * args.columns, &args);
 }

@@ -1,0 +1,106 @@
+/* kernel: what a file of kernels begins with, so that one text is C for the processor and CUDA C++ for a GPU.
+ *
+ * A body works on the indices [first, last) of a launch; what it reads is in its args, plain data whose pointers are memory of
+ * the device. It lies in a file NAME.kernel.h, which a .c file includes and which the library also carries as text:
+ *
+ *     #include "tensor/kernel.h"
+ *     typedef struct { const float *x; float *y; float scale; } twice_args;
+ *     HG_BODY void twice(const twice_args *p, int64_t first, int64_t last)
+ *     {
+ *         for (int64_t i = first; i < last; i++) p->y[i] = p->scale * p->x[i];
+ *     }
+ *     HG_KERNEL(twice, twice_args, 4096)            -> hg_launch(ctx, &twice_kernel, n, &(twice_args){ x, y, 2 })
+ *
+ * On the processor a thread takes `block` indices at a time, on a GPU a thread takes one. Where one index is too much for one
+ * GPU thread (a sum of many numbers), HG_KERNEL_BLOCK gives each index to a block of threads, which run a body of their own:
+ *
+ *     #ifdef HG_CUDA
+ *     HG_BODY void total_block(const total_args *p, int64_t index) { ... threadIdx.x ... __syncthreads() ... }
+ *     #endif
+ *     HG_KERNEL_BLOCK(total, total_args, 1, 256)    256 threads; `total` is the processor's body
+ *
+ * Both precisions: the bodies stand in a file NAME.inc over REAL and F(name), included twice by NAME.kernel.h, and HG_KERNELS in
+ * NAME.kernel.h (not in the .inc) makes name_kernels[2]. A kernel whose file is not NAME.kernel.h cannot be found by its text.
+ *
+ * What both languages take: casts from void * written out, no compound literals and no designated initialisers inside bodies,
+ * enums as int, no headers but these and other *.kernel.h; every __syncthreads() is reached by all threads of a block, every
+ * *_sync has its mask, nothing waits for another block, and no floating-point atomics: the same bits in every run. */
+#ifndef HG_TENSOR_KERNEL_H
+#define HG_TENSOR_KERNEL_H
+
+#include <math.h>
+#include <stdint.h>
+#include <string.h>
+
+#ifdef HG_CUDA /* set by whoever compiles the text: there the headers above are empty, these types are the compiler's */
+
+#define HG_BODY  static __device__ inline
+#define HG_SIMD_ /* a thread has one lane */
+#define restrict __restrict__
+#ifndef HG_KERNEL_EXPORT
+#define HG_KERNEL_EXPORT(name_)
+#define HG_DYNAMIC_SHARED(type_, name_) extern __shared__ type_ name_[]
+#endif
+#define HG_KERNEL(name_, args_, block_)                                                                                \
+    extern "C" __global__ void name_##_cuda(const __grid_constant__ args_ args, const int64_t n)                       \
+    {                                                                                                                  \
+        for (int64_t i = (int64_t)blockIdx.x * blockDim.x + threadIdx.x; i < n; i += (int64_t)gridDim.x * blockDim.x)  \
+            name_(&args, i, i + 1);                                                                                    \
+    }                                                                                                                  \
+    HG_KERNEL_EXPORT(name_##_cuda)
+#define HG_KERNEL_BLOCK(name_, args_, block_, threads_)                                                                \
+    extern "C" __global__ void name_##_cuda(const __grid_constant__ args_ args, const int64_t n)                       \
+    {                                                                                                                  \
+        for (int64_t i = blockIdx.x; i < n; i += gridDim.x) name_##_block(&args, i);                                   \
+    }                                                                                                                  \
+    HG_KERNEL_EXPORT(name_##_cuda)
+
+#define HG_KERNEL_PAIR_(name_)
+
+enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
+
+#else
+
+#include "tensor/tensor.h"
+
+#define HG_BODY  static inline
+#define HG_SIMD_ _Pragma("omp simd")
+#ifndef HG_KERNEL_SOURCE /* a file that the library carries, or a text (HG_KERNEL_TEXT) */
+#define HG_KERNEL_SOURCE __FILE__
+#endif
+#define HG_KERNEL_OF_(name_, args_, block_, threads_, indices_)                                                        \
+    static inline void name_##_cpu(const void *memory, int64_t first, int64_t last)                                    \
+    {                                                                                                                  \
+        name_((const args_ *)memory, first, last);                                                                     \
+    }                                                                                                                  \
+    static const hg_kernel name_##_kernel = { .name = #name_,                                                          \
+                                              .cuda = HG_KERNEL_SOURCE,                                                \
+                                              .args_size = sizeof(args_),                                              \
+                                              .cpu = name_##_cpu,                                                      \
+                                              .block = block_,                                                         \
+                                              .threads = threads_,                                                     \
+                                              .indices = indices_ };
+#define HG_KERNEL(name_, args_, block_)                 HG_KERNEL_OF_(name_, args_, block_, 0, 0)
+#define HG_KERNEL_BLOCK(name_, args_, block_, threads_) HG_KERNEL_OF_(name_, args_, block_, threads_, 1)
+#define HG_KERNEL_PAIR_(name_)                                                                                         \
+    static const hg_kernel *const name_##_kernels[2] = { &name_##_f32_kernel, &name_##_f64_kernel };
+
+/* For a file that the library does not carry, such as a plug-in's: bodies and HG_KERNEL lines between the brackets are compiled
+ * here and kept as text. `#define HG_KERNEL_SOURCE hg_kernel_text` before this header is included; once in a file. */
+#define HG_KERNEL_TEXT(...)                                                                                            \
+    static const char hg_kernel_text[] = #__VA_ARGS__;                                                                 \
+    __VA_ARGS__
+
+#endif
+
+/* Bodies name_f32 and name_f64 of the same args: name_kernels[dtype == HG_F64]. */
+#define HG_KERNELS(name_, args_, block_)                                                                               \
+    HG_KERNEL(name_##_f32, args_, block_) HG_KERNEL(name_##_f64, args_, block_) HG_KERNEL_PAIR_(name_)
+#define HG_KERNELS_BLOCK(name_, args_, block_, threads_)                                                               \
+    HG_KERNEL_BLOCK(name_##_f32, args_, block_, threads_)                                                              \
+    HG_KERNEL_BLOCK(name_##_f64, args_, block_, threads_) HG_KERNEL_PAIR_(name_)
+
+#define HG_PASTE_(a_, b_) a_##b_
+#define HG_PASTE(a_, b_)  HG_PASTE_(a_, b_)
+
+#endif
