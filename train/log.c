@@ -12,6 +12,7 @@ void hg_report_add(hg_report *report, const char *name, double value)
     if (!report || report->n >= HG_REPORT_MAX) return;
     report->item[report->n].name = name;
     report->item[report->n].value = value;
+    report->item[report->n].from = NULL;
     report->n++;
 }
 
