@@ -7,14 +7,22 @@
 #include <stdint.h>
 #include <string.h>
 
-static inline float hg_float_of_bits(int32_t bits)
+#ifndef HG_BODY /* as tensor/kernel.h has it: these are for kernels too */
+#ifdef HG_CUDA
+#define HG_BODY static __device__ inline
+#else
+#define HG_BODY static inline
+#endif
+#endif
+
+HG_BODY float hg_float_of_bits(int32_t bits)
 {
     float x;
     memcpy(&x, &bits, sizeof x);
     return x;
 }
 
-static inline int32_t hg_bits_of_float(float x)
+HG_BODY int32_t hg_bits_of_float(float x)
 {
     int32_t bits;
     memcpy(&bits, &x, sizeof bits);
@@ -24,7 +32,7 @@ static inline int32_t hg_bits_of_float(float x)
 /* exp(x) = 2^n exp(r), n = round(x / ln 2), |r| <= ln 2 / 2, exp(r) by its series up to r^7 (the rest is below 6e-9).
  * 2^n is applied in two halves so that results near the ends of the range, infinite and subnormal ones included, come
  * out right. NaN stays NaN. */
-static inline float hg_exp_f32(float x)
+HG_BODY float hg_exp_f32(float x)
 {
     const float shift = 12582912.0f; /* 1.5 2^23: adding it leaves round(x) in the low bits of the sum */
     x = x > 89.0f ? 89.0f : x;
@@ -45,13 +53,13 @@ static inline float hg_exp_f32(float x)
     uint32_t first = (uint32_t)(half + 127) << 23, second = (uint32_t)(k - half + 127) << 23;
     return y * hg_float_of_bits((int32_t)first) * hg_float_of_bits((int32_t)second);
 }
-static inline double hg_exp_f64(double x) { return exp(x); }
+HG_BODY double hg_exp_f64(double x) { return exp(x); }
 
-static inline float hg_sigmoid_f32(float x) { return 1.0f / (1.0f + hg_exp_f32(-x)); }
-static inline double hg_sigmoid_f64(double x) { return 1.0 / (1.0 + exp(-x)); }
+HG_BODY float hg_sigmoid_f32(float x) { return 1.0f / (1.0f + hg_exp_f32(-x)); }
+HG_BODY double hg_sigmoid_f64(double x) { return 1.0 / (1.0 + exp(-x)); }
 
 /* (1 - e) / (1 + e) with e = exp(-2|x|); the odd series up to x^11 where that would cancel (rest below 2e-9). */
-static inline float hg_tanh_f32(float x)
+HG_BODY float hg_tanh_f32(float x)
 {
     float a = x < 0 ? -x : x;
     float e = hg_exp_f32(-2.0f * a);
@@ -65,10 +73,10 @@ static inline float hg_tanh_f32(float x)
     float small = x + x * s * y;
     return a < 0.3f ? small : x < 0 ? -large : large;
 }
-static inline double hg_tanh_f64(double x) { return tanh(x); }
+HG_BODY double hg_tanh_f64(double x) { return tanh(x); }
 
 /* log(1 + exp(x)) = max(x, 0) + log1p(exp(-|x|)); log1p(e) = 2 atanh(e / (2 + e)), a series in at most (1/3)^2. */
-static inline float hg_softplus_f32(float x)
+HG_BODY float hg_softplus_f32(float x)
 {
     float e = hg_exp_f32(x < 0 ? x : -x);
     float q = e / (2.0f + e), s = q * q;
@@ -81,16 +89,17 @@ static inline float hg_softplus_f32(float x)
     y = y * s + 1.0f;
     return (x > 0 ? x : 0.0f) + 2.0f * q * y;
 }
-static inline double hg_softplus_f64(double x) { return (x > 0 ? x : 0.0) + log1p(exp(x < 0 ? x : -x)); }
+HG_BODY double hg_softplus_f64(double x) { return (x > 0 ? x : 0.0) + log1p(exp(x < 0 ? x : -x)); }
 
-static inline float hg_sqrt_f32(float x) { return sqrtf(x); }
-static inline double hg_sqrt_f64(double x) { return sqrt(x); }
+HG_BODY float hg_sqrt_f32(float x) { return sqrtf(x); }
+HG_BODY double hg_sqrt_f64(double x) { return sqrt(x); }
 
-/* GELU in its tanh form (Hendrycks and Gimpel 2016), x sigmoid(2u) with u = sqrt(2 / pi) (x + 0.044715 x^3). */
 /* Round to nearest even; NaN stays NaN. As hg_bf16_from_f32, many at a time. */
-static inline void hg_bf16_of_f32(int64_t n, const float *restrict from, uint16_t *restrict to)
+HG_BODY void hg_bf16_of_f32(int64_t n, const float *restrict from, uint16_t *restrict to)
 {
+#ifndef HG_CUDA
 #pragma omp simd
+#endif
     for (int64_t i = 0; i < n; i++) {
         const uint32_t bits = (uint32_t)hg_bits_of_float(from[i]);
         const uint32_t rounded = (bits + 0x7fffu + (bits >> 16 & 1u)) >> 16, quiet = bits >> 16 | 0x40u;
@@ -98,6 +107,7 @@ static inline void hg_bf16_of_f32(int64_t n, const float *restrict from, uint16_
     }
 }
 
+/* GELU in its tanh form (Hendrycks and Gimpel 2016), x sigmoid(2u) with u = sqrt(2 / pi) (x + 0.044715 x^3). */
 #define HG_GELU_SCALE 1.5957691216057308 /* 2 sqrt(2 / pi) */
 #define HG_GELU_CUBE  0.044715
 
