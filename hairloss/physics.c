@@ -433,8 +433,16 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
     for (int i = 0; i < p->n_others; i++) {
         const int t = p->others[i].term;
         hg_profile_begin(ctx, "energies", p->terms[t].energy->name);
-        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, frame, x, values->n, values->value, gradient, &sums[t],
-                                      per_strand ? per_strand + t : NULL, p->n));
+        const hg_pass_call call = { .frame = frame,
+                                    .groom = frame->groom,
+                                    .x = x,
+                                    .n_values = values->n,
+                                    .values = values->value,
+                                    .gradient = gradient,
+                                    .unweighted = &sums[t],
+                                    .per_strand = per_strand ? per_strand + t : NULL,
+                                    .stride = p->n };
+        HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, &call));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) * (1 + 2 * (gradient != NULL)));
     }
     hg_physics_chain(&resolver);

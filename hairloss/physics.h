@@ -26,19 +26,28 @@ typedef struct {
     int term, param;    /* HG_INPUT_PARAM: number of the term in the physics, number of the param in its energy */
     const char *name;   /* HG_INPUT_ATTRIBUTE, HG_INPUT_FRAME */
     bool uniform;       /* a param or dt of one value: values is [1] */
-    const void *values; /* in the dtype of the physics: [1] or [B,S]; groom values [G,S,V,w] */
+    const void *values; /* of the device, in the dtype of the physics: [1] or [B,S]; groom values [G,S,V,w] */
     void *gradient;     /* the same shape, NULL: not wanted; zero or the strand pass' part before; the pass ADDS
                            weight * dE/dvalue */
 } hg_pass_value;
 
+/* One call of a pass. Every array in it is memory of the device; nothing of it is read by the host. */
+typedef struct {
+    const hg_frame *frame; /* for its tensors and dt */
+    const int32_t *groom;  /* [B] of the device, where frame->groom is of the host; NULL: all 0 */
+    const hg_tensor *x;    /* [B,S,V,3] */
+    int n_values;
+    const hg_pass_value *values; /* those of other terms are there too */
+    void *gradient;              /* [B,S,V,3] in dtype, NULL: not wanted; the pass adds weight * dE/dx */
+    double *unweighted;          /* one number: gets the energy */
+    double *per_strand; /* NULL, or [B,S] values at distance `stride`: gets the energy per strand (set, not added) */
+    int64_t stride;
+} hg_pass_call;
+
 typedef struct {
     hg_status (*create)(void **self, const hg_pass_setup *setup);
     void (*destroy)(void *self); /* NULL is fine */
-    /* x [B,S,V,3]. gradient [B,S,V,3] in dtype, NULL: not wanted; adds weight * dE/dx. *unweighted gets the energy.
-     * per_strand: NULL, or [B,S] values at distance `stride`: gets the energy per strand (set, not added). */
-    hg_status (*run)(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int n_values,
-                     const hg_pass_value *values /* those of other terms are there too */, void *gradient,
-                     double *unweighted, double *per_strand, int64_t stride);
+    hg_status (*run)(void *self, hg_ctx *ctx, const hg_pass_call *call);
 } hg_physics_pass;
 
 /* Scope for tracing a term's formulas: names of params and chosen options filled in. */

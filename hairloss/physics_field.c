@@ -270,14 +270,12 @@ static hg_status field_create(void **self, const hg_pass_setup *setup)
     return HG_OK;
 }
 
-static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int n_values,
-                           const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
-                           int64_t stride)
+static hg_status field_run(void *self, hg_ctx *ctx, const hg_pass_call *call)
 {
     field_pass *pass = self;
     hg_pass *base = &pass->pass;
     const size_t n = (size_t)(base->strands * base->vertices);
-    HG_TRY(hg_pass_begin(base, frame, n_values, values));
+    HG_TRY(hg_pass_begin(base, call->frame, call->n_values, call->values));
     HG_TRY(set_reach(pass));
     if (rest_follows(pass) && !pass->rest_now) {
         pass->rest_now = hg_alloc((size_t)base->grooms * n + 1, hg_dtype_size(base->dtype));
@@ -295,7 +293,7 @@ static hg_status field_run(void *self, hg_ctx *ctx, const hg_frame *frame, const
         if (!pass->theta_place) return hg_fail(HG_MEMORY, "out of memory for the derivatives of a field");
     }
     for (int64_t g = 0; g < base->grooms; g++) pass->rest_made[g] = false;
-    return hg_pass_frames(pass, ctx, frame, x, gradient, unweighted, per_strand, stride);
+    return hg_pass_frames(pass, ctx, call);
 }
 
 static const hg_physics_pass field_physics_pass = { field_create, field_destroy, field_run };

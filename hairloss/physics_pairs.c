@@ -201,12 +201,10 @@ static hg_status pairs_create(void **self, const hg_pass_setup *setup)
     return HG_OK;
 }
 
-static hg_status pairs_run(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, int n_values,
-                           const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
-                           int64_t stride)
+static hg_status pairs_run(void *self, hg_ctx *ctx, const hg_pass_call *call)
 {
     pairs_pass *pass = self;
-    HG_TRY(hg_pass_begin(&pass->pass, frame, n_values, values));
+    HG_TRY(hg_pass_begin(&pass->pass, call->frame, call->n_values, call->values));
     if (pass->own_pairs) { /* a list of another radius or count */
         const double radius = pass->pass.source[pass->radius].uniform, count = pass->pass.source[pass->count].uniform;
         if (radius != pass->radius_now || count != pass->count_now) HG_TRY(make_pairs(pass, ctx, radius, count));
@@ -219,7 +217,7 @@ static hg_status pairs_run(void *self, hg_ctx *ctx, const hg_frame *frame, const
         if (!*array) *array = hg_alloc((i == pass->rest_distance ? 3 : 1) * pairs + 1, real);
         if (!*array) return hg_fail(HG_MEMORY, "out of memory for the derivatives of %zu pairs", pairs);
     }
-    return hg_pass_frames(pass, ctx, frame, x, gradient, unweighted, per_strand, stride);
+    return hg_pass_frames(pass, ctx, call);
 }
 
 static const hg_physics_pass pairs_physics_pass = { pairs_create, pairs_destroy, pairs_run };

@@ -191,20 +191,19 @@ static void add_sums(hg_pass *pass)
     }
 }
 
-hg_status hg_pass_frames(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void *gradient,
-                         double *unweighted, double *per_strand, int64_t stride)
+hg_status hg_pass_frames(void *self, hg_ctx *ctx, const hg_pass_call *call)
 {
     hg_pass *pass = self; /* a pass begins with it */
     const size_t bytes = 3 * (size_t)(pass->strands * pass->vertices) * hg_dtype_size(pass->dtype);
-    *unweighted = 0.0;
-    for (int64_t b = 0; b < x->shape[0]; b++) {
-        const hg_pass_frame at = { b, frame->groom ? frame->groom[b] : 0, (const char *)x->data + (size_t)b * bytes,
-                                   gradient ? (char *)gradient + (size_t)b * bytes : NULL };
+    *call->unweighted = 0.0;
+    for (int64_t b = 0; b < call->x->shape[0]; b++) {
+        const hg_pass_frame at = { b, call->groom ? call->groom[b] : 0, (const char *)call->x->data + (size_t)b * bytes,
+                                   call->gradient ? (char *)call->gradient + (size_t)b * bytes : NULL };
         if (pass->wants) memset(pass->strand_slopes, 0, sizeof(double) * (size_t)(HG_PASS_SOURCES * pass->strands));
         HG_TRY(pass->run_frame(self, ctx, &at));
         for (int64_t s = 0; s < pass->strands; s++) {
-            *unweighted += pass->strand_energies[s];
-            if (per_strand) per_strand[(b * pass->strands + s) * stride] = pass->strand_energies[s];
+            *call->unweighted += pass->strand_energies[s];
+            if (call->per_strand) call->per_strand[(b * pass->strands + s) * call->stride] = pass->strand_energies[s];
         }
         if (pass->wants) add_strands(pass, b);
     }

@@ -79,7 +79,6 @@ void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from);
 /* The values of this call. */
 hg_status hg_pass_begin(hg_pass *pass, const hg_frame *frame, int n_values, const hg_pass_value *values);
 /* Runs the frames one after another, and adds up what they leave. */
-hg_status hg_pass_frames(void *self, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, void *gradient,
-                         double *unweighted, double *per_strand, int64_t stride);
+hg_status hg_pass_frames(void *self, hg_ctx *ctx, const hg_pass_call *call);
 
 #endif

@@ -144,7 +144,9 @@ static pass_result run_pass(const scene *s, const hg_term *term, hg_dtype dtype,
             values[i].values = value_of[i]->data;
             values[i].gradient = gradients ? gradient_of[i]->data : NULL;
         }
-        ok(kind->run(self, ctx, &frame, x, b->n, values, gradients ? gradient->data : NULL, &r.energy, r.per_strand, 1),
+        ok(kind->run(self, ctx,
+                     &(hg_pass_call){ &frame, frame.groom, x, b->n, values, gradients ? gradient->data : NULL,
+                                      &r.energy, r.per_strand, 1 }),
            label);
     }
     for (int64_t i = 0; i < hg_tensor_count(x); i++) r.gradient[i] = value(gradient, i);
@@ -295,7 +297,9 @@ static void refuse(const scene *s, const char *name, const char *param, double n
     void *self;
     ok(kind->create(&self, &setup), name);
     const hg_frame frame = scene_frame(s, ctx, HG_F64);
-    assert_int_not_equal(kind->run(self, ctx, &frame, scene_x(s, ctx, HG_F64), 1, &value, NULL, &unweighted, NULL, 1),
+    assert_int_not_equal(kind->run(self, ctx,
+                                   &(hg_pass_call){ &frame, frame.groom, scene_x(s, ctx, HG_F64), 1, &value, NULL,
+                                                    &unweighted, NULL, 1 }),
                          HG_OK);
     if (!strstr(hg_message(), word)) fail_msg("the message '%s' does not name '%s'", hg_message(), word);
     kind->destroy(self);
