@@ -2,25 +2,12 @@
 #ifndef HG_AUTOGRAD_ACTIVATION_H
 #define HG_AUTOGRAD_ACTIVATION_H
 
-#include "autograd/floats.h"
+#include "autograd/activation.kernel.h"
 #include "autograd/tape.h"
-
-#define HG_LEAK 0.01 /* of leaky_relu */
 
 bool hg_activation_saves_derivative(hg_activation activation); /* else the backward works from the output */
 bool hg_activation_is_known(hg_activation activation);
 bool hg_activation_has_kink(hg_activation activation); /* at zero */
 double hg_activation_reference(hg_activation activation, double x);
-
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/activation.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/activation.inc"
-#undef REAL
-#undef SUFFIX
 
 #endif

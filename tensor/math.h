@@ -10,6 +10,7 @@
 #ifndef HG_BODY /* as tensor/kernel.h has it: these are for kernels too */
 #ifdef HG_CUDA
 #define HG_BODY static __device__ inline
+#define restrict __restrict__
 #else
 #define HG_BODY static inline
 #endif
