@@ -4,7 +4,8 @@
  *
  * gives `const char NAME[]`, the files one after the other without the lines that include each other (#include "..."). A
  * NAME that ends in "=" is kept as it is, includes and all. With a NAME that ends in "[]" the files are kept apart, under their
- * paths from the root of the sources: `hg_kernel_file NAME[]` of tensor/cuda/device.h. Run while the library is built. */
+ * paths from the root of the sources: `hg_kernel_file NAME[]` of tensor/cuda/device.h, and with them the three headers of C that
+ * NVRTC has not: empty but for the types, since its functions are there without. Run while the library is built. */
 #include <stdio.h>
 #include <string.h>
 
@@ -39,7 +40,11 @@ static int put_table(FILE *to, const char *name, int count, char **words, int i)
         while (strncmp(path, "../", 3) == 0) path += 3;
         fprintf(to, "{ \"%s\", file_%d },\n", path, k);
     }
-    fprintf(to, "{ \"math.h\", \"\" }, { \"stdint.h\", \"\" }, { \"string.h\", \"\" }, { 0, 0 } };\n");
+    fprintf(to,
+            "{ \"math.h\", \"\" }, { \"stdint.h\", \"typedef signed char int8_t; typedef unsigned char uint8_t; "
+            "typedef short int16_t; typedef unsigned short uint16_t; typedef int int32_t; typedef unsigned uint32_t; "
+            "typedef long long int64_t; typedef unsigned long long uint64_t;\\n\" }, { \"string.h\", \"\" }, { 0, 0 } "
+            "};\n");
     return i;
 }
 

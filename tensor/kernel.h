@@ -100,6 +100,21 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
     HG_KERNEL_BLOCK(name_##_f32, args_, block_, threads_)                                                              \
     HG_KERNEL_BLOCK(name_##_f64, args_, block_, threads_) HG_KERNEL_PAIR_(name_)
 
+/* a / b and the rest, for an index that is not negative: 64 bits are a long subroutine on a GPU, and indices are short. */
+HG_BODY int64_t hg_divide(int64_t a, int64_t b, int64_t *rest)
+{
+#ifdef HG_CUDA
+    if (((uint64_t)a | (uint64_t)b) >> 32 == 0) {
+        const uint32_t quotient = (uint32_t)a / (uint32_t)b;
+        *rest = (int64_t)((uint32_t)a - quotient * (uint32_t)b);
+        return (int64_t)quotient;
+    }
+#endif
+    const int64_t quotient = a / b;
+    *rest = a - quotient * b;
+    return quotient;
+}
+
 #define HG_PASTE_(a_, b_) a_##b_
 #define HG_PASTE(a_, b_)  HG_PASTE_(a_, b_)
 
