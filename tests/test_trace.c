@@ -3,9 +3,13 @@
 #include "autograd/trace/graph.h"
 #include "autograd/trace/strand.h"
 
+#include "device.h"
+#include "tensor/tensor.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 #include <cmocka.h>
@@ -158,6 +162,79 @@ static void test_operations(void **state)
         }
         hg_function_destroy(f);
     }
+}
+
+/* The functions printed as CUDA against the interpreter, lane by lane, all in one text. */
+typedef struct {
+    const void *in;
+    void *out;
+} lanes_args;
+
+static void test_printed(void **state)
+{
+    (void)state;
+    enum { N = 300, FORMULAS = sizeof table / sizeof *table };
+    static hg_kernel kernels[FORMULAS][2];
+    static char names[FORMULAS][2][40];
+    static double in[3 * N], out[4 * N];
+    static float in32[3 * N], out32[4 * N];
+    hg_function *functions[FORMULAS];
+    hg_ctx *ctx;
+    if (hg_ctx_create(&ctx, &(hg_ctx_options){ .device = test_device() }) != HG_OK) fail_msg("%s", hg_message());
+    if (hg_ctx_host(ctx)) { /* there the interpreter is what runs */
+        hg_ctx_destroy(ctx);
+        return;
+    }
+    hg_text text = { 0 };
+    hg_text_add(&text, "#include \"autograd/trace/scalar_cuda.h\"\n"
+                       "typedef struct { const void *in; void *out; } lanes_args;\n");
+    for (size_t i = 0; i < FORMULAS; i++) {
+        char function[40];
+        functions[i] = make(table[i].formula);
+        snprintf(function, sizeof function, "formula_%s", table[i].name);
+        hg_function_print_cuda(functions[i], function, &text);
+        for (int half = 0; half < 2; half++) {
+            const char *real = half ? "double" : "float";
+            snprintf(names[i][half], sizeof names[i][half], "lanes_%s_%s", table[i].name, real);
+            hg_text_add(
+                &text,
+                "HG_BODY void %s(const lanes_args *p, int64_t first, int64_t last)\n{\n    for (int64_t i = first;"
+                " i < last; i++) %s((const %s *)p->in + 3 * i, (%s *)p->out + 4 * i);\n}\n"
+                "HG_KERNEL(%s, lanes_args, 0)\n",
+                names[i][half], function, real, real, names[i][half]);
+        }
+    }
+    assert_false(text.failed);
+    for (int k = 0; k < 3 * N; k++) in32[k] = (float)(in[k] = 0.3 + 1.4 * hg_random_uniform(3, 1, (uint64_t)k));
+    hg_tensor *from[2], *to[2];
+    for (int half = 0; half < 2; half++) {
+        from[half] = hg_tensor_from(ctx, half ? HG_F64 : HG_F32, 2, (int64_t[]){ N, 3 }, half ? (void *)in : in32);
+        to[half] = hg_tensor_make(ctx, half ? HG_F64 : HG_F32, 2, (int64_t[]){ N, 4 });
+    }
+    for (size_t i = 0; i < FORMULAS; i++) {
+        for (int half = 0; half < 2; half++) {
+            const lanes_args args = { from[half]->data, to[half]->data };
+            kernels[i][half] = (hg_kernel){ .name = names[i][half], .cuda = text.data, .args_size = sizeof args };
+            if (hg_launch(ctx, &kernels[i][half], N, &args) != HG_OK ||
+                hg_tensor_read(to[half], half ? (void *)out : out32) != HG_OK)
+                fail_msg("%s: %s", table[i].name, hg_message());
+            hg_kernel_release(ctx, &kernels[i][half]);
+        }
+        for (int k = 0; k < N; k++) {
+            const outcome o = run(functions[i], HG_F64, in[3 * k], in[3 * k + 1], in[3 * k + 2]);
+            const double expected[4] = { o.value, o.d[0], o.d[1], o.d[2] };
+            for (int j = 0; j < 4; j++) {
+                if (!(fabs(out[4 * k + j] - expected[j]) <= 1e-13 * (1 + fabs(expected[j]))))
+                    fail_msg("%s: output %d is %.17g, expected %.17g", table[i].name, j, out[4 * k + j], expected[j]);
+                if (!(fabs((double)out32[4 * k + j] - expected[j]) <= 1e-4 * (1 + fabs(expected[j]))))
+                    fail_msg("%s in f32: output %d is %g, expected %g", table[i].name, j, (double)out32[4 * k + j],
+                             expected[j]);
+            }
+        }
+        hg_function_destroy(functions[i]);
+    }
+    hg_text_free(&text);
+    hg_ctx_destroy(ctx);
 }
 
 /* Every lane is independent of how many there are. */
@@ -497,9 +574,10 @@ static void test_attributes(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_operations), cmocka_unit_test(test_lanes),    cmocka_unit_test(test_branches),
-        cmocka_unit_test(test_folding),    cmocka_unit_test(test_rates),    cmocka_unit_test(test_carried),
-        cmocka_unit_test(test_vectors),    cmocka_unit_test(test_messages), cmocka_unit_test(test_attributes),
+        cmocka_unit_test(test_operations), cmocka_unit_test(test_printed), cmocka_unit_test(test_lanes),
+        cmocka_unit_test(test_branches),   cmocka_unit_test(test_folding), cmocka_unit_test(test_rates),
+        cmocka_unit_test(test_carried),    cmocka_unit_test(test_vectors), cmocka_unit_test(test_messages),
+        cmocka_unit_test(test_attributes),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

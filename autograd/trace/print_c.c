@@ -6,7 +6,8 @@
 #include <string.h>
 
 typedef struct {
-    const hg_strand_program *program;
+    const hg_strand_program *program; /* NULL: a function */
+    const hg_numbers *numbers;
     hg_text *text;
     const hg_instruction *defined[INT16_MAX + 1]; /* of the list being printed */
 } printer;
@@ -30,12 +31,16 @@ static void operand(printer *p, hg_operand o, bool all)
         return;
     case HG_PLACE_NUMBER: {
         char literal[40];
-        const double value = p->program->numbers.values[o.index];
+        const double value = p->numbers->values[o.index];
         snprintf(literal, sizeof literal, "%.17g", value);
         if (!strpbrk(literal, ".en")) strcat(literal, ".0");
         hg_text_add(text, all ? "hg_v_all(HG_R(%s))" : value < 0 ? "(HG_R(%s))" : "HG_R(%s)", literal);
         return;
     }
+    case HG_PLACE_IN:
+    case HG_PLACE_OUT:
+        hg_text_add(text, o.place == HG_PLACE_IN ? "in[%d]" : "out[%d]", o.index);
+        return;
     case HG_PLACE_UNIFORM:
         hg_text_add(text, all ? "hg_v_all(u[%d])" : "u[%d]", o.index);
         return;
@@ -298,7 +303,7 @@ static void load(printer *p)
         if (!program->n_carry || !array->gradient) continue;
         hg_text_add(text, "        for (int64_t k = 0; k < "); /* on the way back no site is the first at a vertex */
         size(p, array);
-        hg_text_add(text, "; k++) tile_gradient_%s[k] = hg_v_all(0);\n", name);
+        hg_text_add(text, "; k++) tile_gradient_%s[k] = hg_v_all(HG_R(0.0));\n", name);
     }
 }
 
@@ -372,6 +377,7 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
         return;
     }
     p->program = program;
+    p->numbers = &program->numbers;
     p->text = text;
     bool second = false, rest = program->n_site || program->n_groom_strand;
     for (int place = HG_PLACE_ROOT_X0; place <= HG_PLACE_ROOT_REST1; place++)
@@ -420,7 +426,7 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     preamble(p);
     if (program->n_carry) {
         walk(p, program->forward, false, false);
-        hg_text_add(text, "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(0);\n",
+        hg_text_add(text, "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(HG_R(0.0));\n",
                     program->n_carry, program->n_carry);
         walk(p, program->body, true, true);
     } else {
@@ -444,6 +450,7 @@ void hg_strand_print_list(const hg_strand_program *program, const hg_code *code,
         return;
     }
     p->program = program;
+    p->numbers = &program->numbers;
     p->text = text;
     list(p, code, indent);
     hg_free(p);
@@ -461,3 +468,18 @@ void hg_strand_array_name(const hg_strand_program *program, int k, bool gradient
 }
 
 bool hg_strand_list_touches(const hg_code *code, int place) { return touches(code, place); }
+
+void hg_function_print_cuda(const hg_function *function, const char *name, hg_text *text)
+{
+    printer *p = hg_alloc(1, sizeof *p);
+    if (!p) {
+        text->failed = true;
+        return;
+    }
+    const hg_code *code = hg_function_code(function, &p->numbers);
+    p->text = text;
+    hg_text_add(text, "template <class hg_v> static __device__ inline void %s(const hg_v *in, hg_v *out)\n{\n", name);
+    list(p, code, "    ");
+    hg_text_add(text, "}\n");
+    hg_free(p);
+}

@@ -117,6 +117,11 @@ void hg_function_destroy(hg_function *function);
  * is). out[j]: [n], NULL where not wanted. Thread-safe, allocates nothing; every lane is independent of n. */
 void hg_function_run(const hg_function *function, hg_dtype dtype, int64_t n, const void *const *in,
                      const double *uniform, void *const *out);
+/* The same for one lane as CUDA C++, for kernels whose text goes through hg_kernel.cuda: includes scalar_cuda.h once, then
+ *     template <class hg_v> static __device__ inline void NAME(const hg_v *in, hg_v *out)
+ * for hg_v float or double. in[i]: input i, uniform or not; out[j]: output j. Arrays of the calling thread stay in registers,
+ * and what it does not read of `out` is not computed. */
+void hg_function_print_cuda(const hg_function *function, const char *name, hg_text *text);
 /* What a formula asks for, by name. */
 #define HG_FORMULA_NAMES 8
 typedef struct {

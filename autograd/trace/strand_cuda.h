@@ -4,6 +4,7 @@
 #ifndef HG_STRAND_CUDA_H
 #define HG_STRAND_CUDA_H
 
+#include "autograd/trace/scalar_cuda.h"
 #include "autograd/trace/strand_kernel.h"
 
 #ifndef HG_DYNAMIC_SHARED
@@ -14,29 +15,10 @@
 #define HG_LANES 1
 #if HG_BYTES == 8
 typedef double hg_real;
-#define HG_R(literal) literal
-#define HG_MATH(name) name
 #else
 typedef float hg_real;
-#define HG_R(literal) literal##f
-#define HG_MATH(name) name##f
 #endif
 typedef hg_real hg_v;
-
-static __device__ inline hg_v hg_v_all(hg_v a) { return a; }
-static __device__ inline hg_v hg_v_sqrt(hg_v a) { return HG_MATH(sqrt)(a); }
-static __device__ inline hg_v hg_v_rsqrt(hg_v a) { return HG_R(1.0) / HG_MATH(sqrt)(a); }
-static __device__ inline hg_v hg_v_abs(hg_v a) { return HG_MATH(fabs)(a); }
-static __device__ inline hg_v hg_v_exp(hg_v a) { return HG_MATH(exp)(a); }
-static __device__ inline hg_v hg_v_log(hg_v a) { return HG_MATH(log)(a); }
-static __device__ inline hg_v hg_v_sin(hg_v a) { return HG_MATH(sin)(a); }
-static __device__ inline hg_v hg_v_cos(hg_v a) { return HG_MATH(cos)(a); }
-static __device__ inline hg_v hg_v_atan2(hg_v a, hg_v b) { return HG_MATH(atan2)(a, b); }
-static __device__ inline hg_v hg_v_min(hg_v a, hg_v b) { return b < a ? b : a; }
-static __device__ inline hg_v hg_v_max(hg_v a, hg_v b) { return a < b ? b : a; }
-static __device__ inline hg_v hg_v_less(hg_v a, hg_v b) { return a < b ? HG_R(1.0) : HG_R(0.0); }
-static __device__ inline hg_v hg_v_select(hg_v c, hg_v a, hg_v b) { return c != 0 ? a : b; }
-static __device__ inline hg_v hg_v_if_less(hg_v a, hg_v b, hg_v c, hg_v d) { return a < b ? c : d; }
 
 /* Other warps work while this one waits: nothing is asked for ahead. */
 static __device__ inline void hg_v_soon(const void *, int64_t, int) {}
