@@ -325,7 +325,8 @@ static hg_status distances(hg_ctx *ctx, const hg_body *body, bool scalp, int64_t
     int32_t *corners = hg_alloc((size_t)faces, 3 * sizeof *corners), *nearest = hg_alloc((size_t)n, sizeof *nearest);
     double *vertices = hg_alloc((size_t)body->vertices, 3 * sizeof *vertices);
     double *at = hg_alloc((size_t)n, 3 * sizeof *at), *normal = hg_alloc((size_t)n, 3 * sizeof *normal);
-    hg_status status = corners && nearest && vertices && at && normal ? HG_OK : HG_MEMORY;
+    ctx = hg_ctx_on_host(ctx);
+    hg_status status = ctx && corners && nearest && vertices && at && normal ? HG_OK : HG_MEMORY;
     if (status == HG_OK) {
         for (int64_t f = 0; f < faces; f++)
             memcpy(corners + 3 * f, body->triangles + 3 * (scalp ? (int64_t)body->scalp[f] : f), 3 * sizeof *corners);

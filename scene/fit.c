@@ -38,7 +38,8 @@ static void surface_free(surface *s)
 static hg_status surface_make(surface *s, hg_ctx *ctx, const hg_body *body, int64_t n_faces, const int32_t *faces,
                               int64_t capacity)
 {
-    *s = (surface){ .ctx = ctx, .capacity = capacity };
+    *s = (surface){ .ctx = hg_ctx_on_host(ctx), .capacity = capacity };
+    if (!s->ctx) return HG_MEMORY;
     int64_t count = faces ? n_faces : body->faces;
     double *vertices = hg_alloc((size_t)body->vertices, 3 * sizeof *vertices);
     int32_t *corners = hg_alloc((size_t)count, 3 * sizeof *corners);
@@ -54,7 +55,7 @@ static hg_status surface_make(surface *s, hg_ctx *ctx, const hg_body *body, int6
         status = hg_body_tree_create(&s->tree, body->vertices, vertices, count, corners);
     }
     if (status == HG_OK) status = hg_body_refit_create(&s->refit, s->tree, HG_F64);
-    if (status == HG_OK) status = hg_body_refit_update(ctx, s->refit, vertices);
+    if (status == HG_OK) status = hg_body_refit_update(s->ctx, s->refit, vertices);
     hg_free(vertices);
     hg_free(corners);
     return status;

@@ -247,7 +247,11 @@ static hg_status garden_grow(garden *g, hg_ctx *ctx, hg_groom *groom)
 {
     const hg_body *body = g->body;
     double *rest = hg_alloc((size_t)body->vertices, 3 * sizeof *rest);
-    if (!rest) return HG_MEMORY;
+    ctx = hg_ctx_on_host(ctx);
+    if (!rest || !ctx) {
+        hg_free(rest);
+        return HG_MEMORY;
+    }
     for (int64_t i = 0; i < 3 * body->vertices; i++) rest[i] = (double)body->points[i];
     hg_status status = hg_body_tree_create(&g->tree, body->vertices, rest, body->faces, body->triangles);
     hg_free(rest);

@@ -228,6 +228,7 @@ hg_status hg_pose(hg_ctx *ctx, hg_poser *poser, const double *shape, const hg_mo
 {
     int64_t joints = poser->body->joints;
     const float *rotation = NULL, *translation = NULL;
+    if (!(ctx = hg_ctx_on_host(ctx))) return HG_MEMORY;
     if (motion) {
         if (motion->joints != joints)
             return hg_fail(HG_INVALID, "the motion %s has %lld joints, the body %lld: import it for this body",
@@ -312,7 +313,7 @@ hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groo
                                (long long)s, (long long)face);
     }
     root_args args = { poser, groom, strand, vertices, rotation, position };
-    return hg_launch(ctx, &root_kernel, n, &args);
+    return !(ctx = hg_ctx_on_host(ctx)) ? HG_MEMORY : hg_launch(ctx, &root_kernel, n, &args);
 }
 
 /* ---- strands ------------------------------------------------------------------------------------------------ */
@@ -347,5 +348,5 @@ void hg_pose_strands(hg_ctx *ctx, int64_t strands, int64_t vertices, const float
                      const float *position, float *x)
 {
     strand_args args = { vertices, rest, rotation, position, x };
-    hg_launch(ctx, &strand_kernel, strands, &args);
+    if ((ctx = hg_ctx_on_host(ctx))) hg_launch(ctx, &strand_kernel, strands, &args);
 }

@@ -11,7 +11,7 @@ typedef struct {
     int32_t *strand;
     int64_t n;
     hg_tensor *features, *rest, *part; /* [n,..]: the same in every frame */
-    float *body, *rotation, *position, *x, *posed, *raw, *inputs;
+    float *body, *rotation, *position, *x, *posed, *raw, *inputs, *rest_points;
 } drape;
 
 static void drape_free(drape *d)
@@ -29,6 +29,7 @@ static void drape_free(drape *d)
     hg_free(d->posed);
     hg_free(d->raw);
     hg_free(d->inputs);
+    hg_free(d->rest_points);
 }
 
 /* The first layer's share of the strands, computed once per drape. */
@@ -64,13 +65,15 @@ static hg_status drape_prepare(drape *d, hg_hair_task *task, hg_ctx *ctx, const 
     d->posed = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
     d->raw = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
     d->inputs = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
+    d->rest_points = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
     d->features = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ d->n, task->strand_inputs });
     d->rest = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ d->n, V, 3 });
     if (!d->strand || !d->body || !d->rotation || !d->position || !d->x || !d->posed || !d->raw || !d->inputs ||
-        !d->features || !d->rest)
+        !d->rest_points || !d->features || !d->rest)
         return HG_MEMORY;
     for (int64_t i = 0; i < d->n; i++) d->strand[i] = (int32_t)(i * stride);
-    return make_part(d, task, ctx);
+    HG_TRY(make_part(d, task, ctx));
+    return hg_tensor_read(d->rest, d->rest_points);
 }
 
 static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape,
@@ -84,7 +87,7 @@ static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg
     hg_hair_material_features(task, NULL, d->raw);
     hg_hair_normalise_frame(task, d->raw, d->inputs);
     HG_TRY(hg_hair_predict_frame(task, ctx, d->part, d->inputs, d->rest, d->rotation, d->position, d->x));
-    hg_pose_strands(ctx, n, V, d->rest->data, d->rotation, d->position, d->posed);
+    hg_pose_strands(ctx, n, V, d->rest_points, d->rotation, d->position, d->posed);
     return sink(self, &(hg_drape_frame){ .frame = frame,
                                          .strands = n,
                                          .vertices = V,

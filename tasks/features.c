@@ -370,7 +370,8 @@ hg_status hg_hair_features_tensors(hg_hair_task *task)
     if (!task->mean_tensor || !task->inverse_deviation) return HG_MEMORY;
     task->mean_tensor->name = "feature_mean";
     task->inverse_deviation->name = "feature_inverse_deviation";
-    float *mean = task->mean_tensor->data, *inverse = task->inverse_deviation->data;
+    float *mean = hg_alloc((size_t)n * 2 + 1, sizeof *mean), *inverse = mean + n;
+    if (!mean) return HG_MEMORY;
     for (int64_t i = 0; i < n; i++) {
         mean[i] = (float)task->mean[i];
         inverse[i] = (float)(1 / task->deviation[i]);
@@ -378,7 +379,10 @@ hg_status hg_hair_features_tensors(hg_hair_task *task)
         feature->mean = task->mean[i];
         feature->deviation = task->deviation[i];
     }
-    return HG_OK;
+    hg_status status = hg_tensor_write(task->mean_tensor, mean);
+    if (status == HG_OK) status = hg_tensor_write(task->inverse_deviation, inverse);
+    hg_free(mean);
+    return status;
 }
 
 int hg_hair_features(const hg_hair_task *task, const hg_feature **features)

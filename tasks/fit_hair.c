@@ -44,18 +44,18 @@ static hg_status take_strands(observed *o, hg_hair_task *task, const int32_t *st
     return hg_hair_numbers_create(&o->numbers, &o->subset, task);
 }
 
-static hg_status take_frames(observed *o, hg_hair_task *task, int n, const hg_observed_frame *frames)
+static hg_status take_frames(observed *o, hg_hair_task *task, hg_ctx *ctx, int n, const hg_observed_frame *frames)
 {
     const int64_t S = o->subset.n, V = task->groom->vertices, N = task->body_vertices, count = S * V * 3;
     const int64_t shape[4] = { n, S, V, 3 };
-    o->x = hg_tensor_create(task->ctx, HG_F64, 4, shape);
-    o->predicted = hg_tensor_create(task->ctx, HG_F64, 4, shape);
-    o->previous = hg_tensor_create(task->ctx, HG_F64, 4, shape);
-    o->rotation = hg_tensor_create(task->ctx, HG_F64, 3, (int64_t[]){ n, S, 4 });
-    o->position = hg_tensor_create(task->ctx, HG_F64, 3, (int64_t[]){ n, S, 3 });
+    o->x = hg_tensor_create(ctx, HG_F64, 4, shape);
+    o->predicted = hg_tensor_create(ctx, HG_F64, 4, shape);
+    o->previous = hg_tensor_create(ctx, HG_F64, 4, shape);
+    o->rotation = hg_tensor_create(ctx, HG_F64, 3, (int64_t[]){ n, S, 4 });
+    o->position = hg_tensor_create(ctx, HG_F64, 3, (int64_t[]){ n, S, 3 });
     if (!o->x || !o->predicted || !o->previous || !o->rotation || !o->position) return HG_MEMORY;
     if (frames[0].body_vertices) {
-        o->body = hg_tensor_create(task->ctx, HG_F64, 3, (int64_t[]){ n, N, 3 });
+        o->body = hg_tensor_create(ctx, HG_F64, 3, (int64_t[]){ n, N, 3 });
         if (!o->body) return HG_MEMORY;
     }
     const int32_t *vertex = hg_poser_vertex(task->poser); /* those that the collider keeps */
@@ -85,9 +85,10 @@ hg_status hg_hair_fit_material(hg_hair_task *task, hg_ctx *ctx, const int32_t *s
     *fit = (hg_material_fit){ 0 };
     if (n < 1 || strands < 1) return hg_fail(HG_INVALID, "fit: %d frames of %lld strands", n, (long long)strands);
     observed o = { 0 };
+    if (!(ctx = hg_ctx_on_host(ctx))) return HG_MEMORY; /* the balances are solved there */
     hg_step_reset(ctx);
     hg_status status = take_strands(&o, task, strand, strands);
-    if (status == HG_OK) status = take_frames(&o, task, n, frames);
+    if (status == HG_OK) status = take_frames(&o, task, ctx, n, frames);
     if (status == HG_OK) {
         hg_term terms[HG_HAIR_TERMS];
         int kept = 0;

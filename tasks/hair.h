@@ -225,16 +225,18 @@ void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t co
 void hg_hair_material_features(const hg_hair_task *task, const double *values, float *frame);
 hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const double *values, int64_t frames,
                                  int64_t strands, hg_frame *frame);
-void hg_hair_report_learnt(const hg_hair_task *task, hg_report *report);
+void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx,
+                           hg_report *report); /* of the step, read when it is logged */
 
 /* Strands [n,V,3] of `frames` frames from the network. part: hg_model's strand_part of the strands. */
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,
                            hg_tensor *rotation, hg_tensor *position);
 /* One frame of n strands without gradient, some strands after others, so that activations stay in the cache: part
  * [n,width], inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3] -> x [n,V,3]. Memory does not grow with n. */
-hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_tensor *part, const float *inputs,
-                                const hg_tensor *rest, const float *rotation, const float *position, float *x);
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, const float *inputs,
+                                hg_tensor *rest, const float *rotation, const float *position, float *x);
+/* unweighted: [terms] f64, joule of the batch, gravity counted from the roots; of the step. */
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
-                          hg_hair_subset *subset, double *unweighted);
+                          hg_hair_subset *subset, hg_tensor **unweighted);
 
 #endif

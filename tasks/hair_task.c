@@ -31,14 +31,15 @@ static hg_status make_output(hg_hair_task *task)
     task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
     if (!task->output_map) return HG_MEMORY;
     task->output_map->name = "output_map";
-    float *map = task->output_map->data;
-    for (int64_t i = 0; i < task->outputs; i++)
+    float *map = hg_alloc((size_t)(task->outputs * columns), sizeof *map);
+    for (int64_t i = 0; map && i < task->outputs; i++)
         for (int64_t column = i + (task->pinned - 1) * 3; column < columns; column += 3) {
             map[i * columns + column] = (float)task->output_scale;
             if (!strcmp(output, "vertices")) break;
         }
-    hg_tensor_touch(task->output_map);
-    return HG_OK;
+    const hg_status status = map ? hg_tensor_write(task->output_map, map) : HG_MEMORY;
+    hg_free(map);
+    return status;
 }
 
 static hg_status make_model(hg_hair_task *task)
@@ -81,24 +82,22 @@ hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *par
     return hg_place(ctx, d, rest, rotation, position);
 }
 
-hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_tensor *part, const float *inputs,
-                                const hg_tensor *rest, const float *rotation, const float *position, float *x)
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, const float *inputs,
+                                hg_tensor *rest, const float *rotation, const float *position, float *x)
 {
     enum { STRANDS = 4096 };
-    const int64_t n = part->shape[0], width = part->shape[1], V = rest->shape[1], F = task->layout.frame_inputs;
+    const int64_t n = part->shape[0], V = rest->shape[1], F = task->layout.frame_inputs;
     const hg_step_mark mark = hg_step_set_mark(ctx);
     hg_no_grad_begin(ctx);
     for (int64_t first = 0; first < n && hg_ctx_status(ctx) == HG_OK; first += STRANDS) {
         const int64_t count = n - first < STRANDS ? n - first : STRANDS;
-#define PIECE(rank_, from_, stride_, ...)                                                                              \
-    hg_tensor_wrap(ctx, HG_F32, rank_, (int64_t[]){ __VA_ARGS__ }, (float *)(uintptr_t)(from_) + first * (stride_))
-        hg_tensor *some = PIECE(2, part->data, width, count, width);
-        hg_tensor *frame = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 1, F }, (void *)(uintptr_t)inputs);
-        const hg_tensor *placed =
-            hg_hair_predict(task, ctx, some, frame, PIECE(3, rest->data, V * 3, count, V, 3),
-                            PIECE(3, rotation, 4, 1, count, 4), PIECE(3, position, 3, 1, count, 3));
-#undef PIECE
-        if (placed) memcpy(x + first * V * 3, placed->data, hg_tensor_bytes(placed));
+        hg_tensor *placed = hg_hair_predict(
+            task, ctx, hg_tensor_rows(ctx, part, first, count),
+            hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, F }, inputs), hg_tensor_rows(ctx, rest, first, count),
+            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
+            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
+        if (placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK)
+            hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
         hg_step_rewind(ctx, mark);
     }
     hg_no_grad_end(ctx);
@@ -151,23 +150,38 @@ static double mass_of(const hg_hair_batch *batch, const hg_hair_subset *subset, 
 }
 
 /* Gravity of every strand if it were a point at its root: counted from there, the loss says how the hair hangs and not how
- * high the person stands. A constant for the network. */
-static double root_gravity(const hg_hair_task *task, const hg_hair_batch *batch, const hg_hair_subset *subset,
-                           int *term)
+ * high the person stands. A constant for the network, [J]. */
+static double root_gravity(const hg_term *gravity, const hg_hair_batch *batch, const hg_hair_subset *subset)
 {
+    double energy = 0;
+    const float *position = batch->position + 2 * batch->frames * batch->strands * 3;
+    for (int64_t k = 0; k < batch->frames * batch->strands; k++)
+        for (int c = 0; c < 3; c++)
+            energy -= mass_of(batch, subset, k) * gravity->params[c] * (double)position[3 * k + c];
+    return energy;
+}
+
+/* The loss from the energy of a batch: over strands and the reference, and without the gravity of the roots, which is another
+ * number in every step and therefore a tensor. */
+static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
+                             const hg_hair_subset *subset, hg_tensor *energy, hg_tensor **unweighted)
+{
+    const double scale = 1 / ((double)(batch->frames * batch->strands) * task->reference);
+    hg_tensor *value = hg_scale(ctx, energy, scale, 0);
     for (int i = 0; i < task->terms.n; i++) {
         const hg_term *gravity = &task->terms.term[i];
         if (strcmp(gravity->energy->name, "gravity")) continue;
-        *term = i;
-        double energy = 0;
-        const float *position = batch->position + 2 * batch->frames * batch->strands * 3;
-        for (int64_t k = 0; k < batch->frames * batch->strands; k++)
-            for (int c = 0; c < 3; c++)
-                energy -= mass_of(batch, subset, k) * gravity->params[c] * (double)position[3 * k + c];
-        return energy;
+        const int64_t n = task->terms.n;
+        double *roots = hg_step_alloc(ctx, (size_t)n * sizeof *roots);
+        float *shift = hg_step_alloc(ctx, sizeof *shift);
+        if (!roots || !shift) return NULL;
+        for (int64_t k = 0; k < n; k++) roots[k] = 0;
+        roots[i] = root_gravity(gravity, batch, subset);
+        *shift = (float)(-scale * gravity->weight * roots[i]);
+        *unweighted = hg_sub(ctx, *unweighted, hg_tensor_from(ctx, HG_F64, 1, &n, roots));
+        return hg_add(ctx, value, hg_tensor_from(ctx, HG_F32, 0, NULL, shift));
     }
-    *term = -1;
-    return 0;
+    return value;
 }
 
 /* A batch's tensors, as the network takes them. */
@@ -201,13 +215,13 @@ static hg_tensor *predict_rows(const hg_hair_task *task, hg_ctx *ctx, const hg_h
 }
 
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
-                          hg_hair_subset *subset, double *unweighted)
+                          hg_hair_subset *subset, hg_tensor **unweighted)
 {
     const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
-    hg_tensor *inputs = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
-    hg_tensor *rotation = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
-    hg_tensor *position = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
-    hg_tensor *body = hg_tensor_wrap(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
+    hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
+    hg_tensor *rotation = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
+    hg_tensor *position = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
+    hg_tensor *body = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
     if (!inputs || !rotation || !position || !body) return NULL;
 
     /* What belongs to the strands is the same at the three times. */
@@ -236,12 +250,10 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
                        .dt = 1 / task->rate };
     if (hg_hair_physics_inputs(task, ctx, batch->material, B, S, &frame) != HG_OK) return NULL;
     if (task->clip_vertex > 0) x = hg_clip_gradient(ctx, x, task->clip_vertex / ((double)(B * S) * task->reference));
-    hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, unweighted);
-    int gravity;
-    const double scale = 1 / ((double)(B * S) * task->reference), at_root = root_gravity(task, batch, subset, &gravity);
-    if (gravity < 0) return hg_scale(ctx, energy, scale, 0);
-    unweighted[gravity] -= at_root;
-    return hg_scale(ctx, energy, scale, -scale * task->terms.term[gravity].weight * at_root);
+    hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, NULL);
+    if (!energy) return NULL;
+    *unweighted = hg_physics_unweighted(subset->physics);
+    return from_roots(task, ctx, batch, subset, energy, unweighted);
 }
 
 static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
@@ -249,15 +261,14 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
     hg_hair_task *task = self;
     const hg_hair_batch *batch = bytes;
     if (task->compute != HG_F32 && hg_ctx_compute(ctx, task->compute) != HG_OK) return NULL;
-    double unweighted[HG_HAIR_TERMS] = { 0 };
-    hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
+    hg_tensor *joule, *value = hg_hair_energy(task, ctx, model, batch, &task->subset, &joule);
     const double per_strand = 1 / (double)(batch->frames * batch->strands);
     for (int i = 0; value && i < task->terms.n; i++) {
-        const double joule = unweighted[i] * per_strand;
-        hg_report_add(report, task->term_name[i][0], task->terms.term[i].weight * joule / task->reference);
-        hg_report_add(report, task->term_name[i][1], joule);
+        const double weight = task->terms.term[i].weight;
+        hg_report_later(report, task->term_name[i][0], joule, i, weight * per_strand / task->reference);
+        hg_report_later(report, task->term_name[i][1], joule, i, per_strand);
     }
-    hg_hair_report_learnt(task, report);
+    hg_hair_report_learnt(task, ctx, report);
     return value;
 }
 
@@ -282,15 +293,16 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         int clip = 0;
         while (frame >= task->clips[held_out][clip].motion->frames)
             frame -= task->clips[held_out][clip++].motion->frames;
-        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS] = { 0 }, material[HG_HAIR_MATERIALS];
+        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS], material[HG_HAIR_MATERIALS];
+        hg_tensor *joule;
         hg_hair_held_out_shape(task, k, shape);
         hg_hair_draw_materials(task, task->seed + 0x5eed, (uint64_t)k, material);
         hg_step_reset(ctx);
         status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, (int32_t)(k % task->n_grooms),
                                     &task->clips[held_out][clip], frame, shape, material);
         if (status != HG_OK) break;
-        const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, unweighted);
-        status = hg_ctx_status(ctx);
+        const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, &joule);
+        status = value ? hg_tensor_read(joule, unweighted) : hg_ctx_status(ctx);
         if (status != HG_OK || !value) break;
         total += hg_tensor_item(value, 0) / (double)n;
         for (int i = 0; i < task->terms.n; i++)
@@ -490,11 +502,11 @@ static hg_status first_call(hg_hair_task *task)
     if (task->opened || !(task->n_materials + task->n_learnt)) return HG_OK;
     void *batch = hg_alloc(1, task->batch_bytes);
     if (!batch) return HG_MEMORY;
-    double unweighted[HG_HAIR_TERMS];
+    hg_tensor *joule;
     hg_step_reset(task->ctx);
     hg_status status = hg_hair_sample(task, task->ctx, hg_ctx_seed(task->ctx), 0, batch);
     if (status == HG_OK) {
-        hg_hair_energy(task, task->ctx, task->model, batch, &task->subset, unweighted);
+        hg_hair_energy(task, task->ctx, task->model, batch, &task->subset, &joule);
         status = hg_ctx_status(task->ctx);
     }
     hg_step_reset(task->ctx);

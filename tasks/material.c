@@ -187,13 +187,14 @@ hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const do
     hg_frame_input *inputs = hg_step_alloc(ctx, (size_t)n * sizeof *inputs);
     if (!inputs) return hg_ctx_status(ctx);
     for (int i = 0; i < task->n_materials; i++) {
-        hg_tensor *value = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ frames, strands });
-        if (!value) return hg_ctx_status(ctx);
-        float *out = value->data;
+        float *out = hg_step_alloc(ctx, (size_t)(frames * strands) * sizeof *out);
+        if (!out) return hg_ctx_status(ctx);
         for (int64_t b = 0; b < frames; b++)
             for (int64_t s = 0; s < strands; s++)
                 out[b * strands + s] = (float)(values ? values[b * task->n_materials + i] : task->materials[i].value);
-        inputs[i] = (hg_frame_input){ task->materials[i].name, value };
+        inputs[i].name = task->materials[i].name;
+        inputs[i].value = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ frames, strands }, out);
+        if (!inputs[i].value) return hg_ctx_status(ctx);
     }
     for (int i = 0; i < task->n_learnt; i++)
         inputs[task->n_materials + i] =
@@ -204,9 +205,10 @@ hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const do
     return HG_OK;
 }
 
-void hg_hair_report_learnt(const hg_hair_task *task, hg_report *report)
+void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx, hg_report *report)
 {
+    hg_no_grad_begin(ctx);
     for (int i = 0; i < task->n_learnt; i++)
-        hg_report_add(report, task->learnt[i].report,
-                      task->learnt[i].start * exp(hg_tensor_item(task->learnt[i].theta, 0)));
+        hg_report_later(report, task->learnt[i].report, hg_exp(ctx, task->learnt[i].theta), 0, task->learnt[i].start);
+    hg_no_grad_end(ctx);
 }

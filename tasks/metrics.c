@@ -16,6 +16,7 @@ static const double still = 0.02; /* m/s: slower posed tips say nothing of lag *
 
 typedef struct {
     hg_tensor *now, *before, *older; /* [1,S,V,3] */
+    float *x;                        /* now, on the host */
     int32_t *triangle;               /* [S V] guesses of the closest face */
     double energy[HG_HAIR_TERMS];
     int64_t inside, vertices;
@@ -29,9 +30,12 @@ typedef struct {
     const double *shape;
     int64_t frames, tips;
     hg_hair_track track;
-    hg_tensor *rotation, *position, *body, *part, *predicted;
+    hg_tensor *part;
+    hg_ctx *host; /* for what is measured of the strands here */
     hg_body_refit *refit;
+    float *rest, *rotation, *position, *body; /* [S,V,3], [S,4], [S,3], [N,3] */
     float *joint_position, *joint_rotation, *raw, *inputs, *contact_point, *contact_normal;
+    hg_frame at;      /* of the step */
     double *last_tip; /* [2,tips,3] about the head, in head space, and in the world */
     side net, posed;
     double length_error, orientation, tip_squares;
@@ -43,6 +47,7 @@ static void side_free(side *s)
     hg_tensor_destroy(s->now);
     hg_tensor_destroy(s->before);
     hg_tensor_destroy(s->older);
+    hg_free(s->x);
     hg_free(s->triangle);
     hg_free(s->tips);
 }
@@ -52,12 +57,12 @@ static void evaluation_free(evaluation *e)
     side_free(&e->net);
     side_free(&e->posed);
     hg_hair_track_destroy(&e->track);
-    hg_tensor_destroy(e->rotation);
-    hg_tensor_destroy(e->position);
-    hg_tensor_destroy(e->body);
     hg_tensor_destroy(e->part);
-    hg_tensor_destroy(e->predicted);
     hg_body_refit_destroy(e->refit);
+    hg_free(e->rest);
+    hg_free(e->rotation);
+    hg_free(e->position);
+    hg_free(e->body);
     hg_free(e->joint_position);
     hg_free(e->joint_rotation);
     hg_free(e->raw);
@@ -73,9 +78,10 @@ static hg_status side_create(side *s, evaluation *e, int64_t S, int64_t V)
     s->now = hg_tensor_create(e->ctx, HG_F32, 4, shape);
     s->before = hg_tensor_create(e->ctx, HG_F32, 4, shape);
     s->older = hg_tensor_create(e->ctx, HG_F32, 4, shape);
+    s->x = hg_alloc((size_t)(S * V) * 3, sizeof *s->x);
     s->triangle = hg_alloc((size_t)(S * V), sizeof *s->triangle);
     s->tips = hg_alloc((size_t)(e->frames * e->tips) * 3, sizeof(float));
-    if (!s->now || !s->before || !s->older || !s->triangle || !s->tips) return HG_MEMORY;
+    if (!s->now || !s->before || !s->older || !s->x || !s->triangle || !s->tips) return HG_MEMORY;
     for (int64_t i = 0; i < S * V; i++) s->triangle[i] = -1;
     return HG_OK;
 }
@@ -89,10 +95,11 @@ static hg_status prepare(evaluation *e)
     HG_TRY(hg_hair_track_create(&e->track, &task->layout, task->body, e->motion));
     HG_TRY(side_create(&e->net, e, S, V));
     HG_TRY(side_create(&e->posed, e, S, V));
-    e->rotation = hg_tensor_create(e->ctx, HG_F32, 3, (int64_t[]){ 1, S, 4 });
-    e->position = hg_tensor_create(e->ctx, HG_F32, 3, (int64_t[]){ 1, S, 3 });
-    e->body = hg_tensor_create(e->ctx, HG_F32, 3, (int64_t[]){ 1, task->body_vertices, 3 });
-    e->predicted = hg_tensor_create(e->ctx, HG_F32, 4, (int64_t[]){ 1, S, V, 3 });
+    e->host = hg_ctx_on_host(e->ctx);
+    e->rest = hg_alloc((size_t)(S * V) * 3, sizeof(float));
+    e->rotation = hg_alloc((size_t)S * 4, sizeof(float));
+    e->position = hg_alloc((size_t)S * 3, sizeof(float));
+    e->body = hg_alloc((size_t)task->body_vertices * 3, sizeof(float));
     e->joint_position = hg_alloc((size_t)joints * 3, sizeof(float));
     e->joint_rotation = hg_alloc((size_t)joints * 4, sizeof(float));
     e->raw = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
@@ -100,9 +107,10 @@ static hg_status prepare(evaluation *e)
     e->contact_point = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     e->contact_normal = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     e->last_tip = hg_alloc((size_t)e->tips * 9, sizeof(double));
-    if (!e->rotation || !e->position || !e->body || !e->predicted || !e->joint_position || !e->joint_rotation ||
+    if (!e->host || !e->rest || !e->rotation || !e->position || !e->body || !e->joint_position || !e->joint_rotation ||
         !e->raw || !e->inputs || !e->contact_point || !e->contact_normal || !e->last_tip)
         return HG_MEMORY;
+    HG_TRY(hg_tensor_read(task->evaluation.rest, e->rest));
     HG_TRY(hg_body_refit_create(&e->refit, task->tree, HG_F32));
     hg_step_reset(e->ctx);
     hg_no_grad_begin(e->ctx);
@@ -120,41 +128,37 @@ static hg_status strands_of(evaluation *e, int64_t frame)
     hg_hair_task *task = e->task;
     const hg_hair_subset *subset = &task->evaluation;
     const int64_t S = subset->n, V = task->groom->vertices;
-    HG_TRY(
-        hg_pose(e->ctx, task->poser, e->shape, e->motion, frame, e->body->data, e->joint_position, e->joint_rotation));
-    HG_TRY(hg_pose_roots(e->ctx, task->poser, task->groom, subset->strand, S, e->body->data, e->rotation->data,
-                         e->position->data));
-    hg_tensor_touch(e->body);
-    hg_tensor_touch(e->rotation);
-    hg_tensor_touch(e->position);
+    HG_TRY(hg_pose(e->ctx, task->poser, e->shape, e->motion, frame, e->body, e->joint_position, e->joint_rotation));
+    HG_TRY(hg_pose_roots(e->ctx, task->poser, task->groom, subset->strand, S, e->body, e->rotation, e->position));
     hg_hair_track_frame(&task->layout, &e->track, frame, e->shape, e->raw);
     hg_hair_material_features(task, NULL, e->raw);
     hg_hair_normalise_frame(task, e->raw, e->inputs);
+    e->at = (hg_frame){ .root_rotation = hg_tensor_from(e->ctx, HG_F32, 3, (int64_t[]){ 1, S, 4 }, e->rotation),
+                        .root_position = hg_tensor_from(e->ctx, HG_F32, 3, (int64_t[]){ 1, S, 3 }, e->position),
+                        .body_vertices =
+                            hg_tensor_from(e->ctx, HG_F32, 3, (int64_t[]){ 1, task->body_vertices, 3 }, e->body),
+                        .dt = 1 / task->rate };
     hg_no_grad_begin(e->ctx);
-    hg_tensor *x =
+    const hg_tensor *x =
         hg_hair_predict(task, e->ctx, e->part,
-                        hg_tensor_wrap(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
-                        subset->rest, e->rotation, e->position);
+                        hg_tensor_from(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
+                        subset->rest, e->at.root_rotation, e->at.root_position);
     hg_no_grad_end(e->ctx);
     HG_TRY(hg_ctx_status(e->ctx));
     HG_TRY(hg_tensor_copy(e->net.now, x));
-    hg_pose_strands(e->ctx, S, V, subset->rest->data, e->rotation->data, e->position->data, e->posed.now->data);
-    hg_tensor_touch(e->posed.now);
-    return HG_OK;
+    HG_TRY(hg_tensor_read(x, e->net.x));
+    hg_pose_strands(e->ctx, S, V, e->rest, e->rotation, e->position, e->posed.x);
+    return hg_tensor_write(e->posed.now, e->posed.x);
 }
 
 static hg_status energies(evaluation *e, side *s, double *terms)
 {
-    const float *before = s->before->data, *older = s->older->data;
-    float *predicted = e->predicted->data;
-    for (int64_t i = 0, n = hg_tensor_count(e->predicted); i < n; i++) predicted[i] = 2 * before[i] - older[i];
-    hg_tensor_touch(e->predicted);
-    hg_frame frame = { .root_rotation = e->rotation,
-                       .root_position = e->position,
-                       .predicted = e->predicted,
-                       .previous = s->before,
-                       .body_vertices = e->body,
-                       .dt = 1 / e->task->rate };
+    hg_frame frame = e->at;
+    frame.previous = s->before;
+    hg_no_grad_begin(e->ctx);
+    frame.predicted = hg_sub(e->ctx, hg_scale(e->ctx, s->before, 2, 0), s->older);
+    hg_no_grad_end(e->ctx);
+    if (!frame.predicted) return hg_ctx_status(e->ctx);
     HG_TRY(hg_hair_physics_inputs(e->task, e->ctx, NULL, 1, e->task->evaluation.n, &frame));
     return hg_physics_evaluate(e->task->evaluation.physics, e->ctx, &frame, s->now, terms, NULL, NULL);
 }
@@ -162,8 +166,8 @@ static hg_status energies(evaluation *e, side *s, double *terms)
 static hg_status count_inside(evaluation *e, side *s)
 {
     const int64_t S = e->task->evaluation.n, V = e->task->groom->vertices;
-    const float *x = s->now->data;
-    HG_TRY(hg_body_closest(e->ctx, e->refit, HG_CONTACT_EXACT, 5e-3, S * V, x, s->triangle, e->contact_point,
+    const float *x = s->x;
+    HG_TRY(hg_body_closest(e->host, e->refit, HG_CONTACT_EXACT, 5e-3, S * V, x, s->triangle, e->contact_point,
                            e->contact_normal));
     for (int64_t i = 0; i < S * V; i++) {
         if (i % V == 0) continue;
@@ -181,7 +185,7 @@ static hg_vec3d point(const float *x) { return hg_vec3d_make((double)x[0], (doub
 static void measure_segments(evaluation *e)
 {
     const int64_t S = e->task->evaluation.n, V = e->task->groom->vertices;
-    const float *x = e->net.now->data, *y = e->posed.now->data;
+    const float *x = e->net.x, *y = e->posed.x;
     const double *l0 = e->task->evaluation.lengths;
     for (int64_t s = 0; s < S; s++)
         for (int64_t v = 0; v + 1 < V; v++) {
@@ -204,8 +208,8 @@ static void measure_tips(evaluation *e, int64_t frame)
     const hg_quatd unturn = hg_quatd_conj(hg_quatd_make((double)q[0], (double)q[1], (double)q[2], (double)q[3]));
     for (int64_t i = 0; i < e->tips; i++) {
         const int64_t at = ((i * S / e->tips) * V + V - 1) * 3;
-        const hg_vec3d net = hg_vec3d_sub(point((const float *)e->net.now->data + at), centre);
-        const hg_vec3d posed = hg_vec3d_sub(point((const float *)e->posed.now->data + at), centre);
+        const hg_vec3d net = hg_vec3d_sub(point(e->net.x + at), centre);
+        const hg_vec3d posed = hg_vec3d_sub(point(e->posed.x + at), centre);
         const hg_vec3d seen = hg_quatd_rotate(unturn, net);
         double *last = e->last_tip + 9 * i;
         if (frame > 0) {
@@ -243,7 +247,7 @@ static hg_status one_frame(evaluation *e, int64_t frame)
         HG_TRY(hg_tensor_copy(sides[k]->older, sides[k]->now));
     }
     double terms[2][HG_HAIR_TERMS] = { { 0 }, { 0 } };
-    HG_TRY(hg_body_refit_update(e->ctx, e->refit, e->body->data));
+    HG_TRY(hg_body_refit_update(e->host, e->refit, e->body));
     for (int k = 0; k < 2; k++) {
         HG_TRY(energies(e, sides[k], terms[k]));
         HG_TRY(count_inside(e, sides[k]));

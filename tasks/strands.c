@@ -42,7 +42,7 @@ static hg_tensor *encoder_loss(void *self, hg_ctx *ctx, hg_model *model, const v
 {
     const encoder_task *task = self;
     (void)report;
-    hg_tensor *x = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ task->batch, task->inputs }, (void *)(uintptr_t)batch);
+    hg_tensor *x = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ task->batch, task->inputs }, batch);
     hg_tensor *y = model->forward(model->self, ctx, &x, 1);
     return hg_mean(ctx, hg_square(ctx, hg_sub(ctx, y, x)));
 }
@@ -109,18 +109,18 @@ static hg_status encode(hg_hair_task *task, hg_hair_style *style, int inputs)
 {
     const int64_t n = style->groom->strands;
     const int latent = task->latent;
-    float *rows = hg_alloc((size_t)((n < ROWS ? n : ROWS) * inputs), sizeof *rows);
+    const int64_t most = n < ROWS ? n : ROWS;
+    float *rows = hg_alloc((size_t)(most * (inputs + latent)), sizeof *rows), *code = rows + most * inputs;
     hg_status status = rows ? HG_OK : HG_MEMORY;
     for (int64_t first = 0; status == HG_OK && first < n; first += ROWS) {
         const int64_t count = n - first < ROWS ? n - first : ROWS;
         strand_rows(style->groom, first, count, inputs, (float)task->strand_scale, rows);
         hg_step_reset(task->ctx);
         hg_no_grad_begin(task->ctx);
-        hg_tensor *x = hg_tensor_wrap(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, rows);
-        hg_tensor *z = hg_strand_encode(task->encoder, task->ctx, x);
+        hg_tensor *x = hg_tensor_from(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, rows);
+        const hg_tensor *z = hg_strand_encode(task->encoder, task->ctx, x);
         hg_no_grad_end(task->ctx);
-        status = hg_ctx_status(task->ctx);
-        const float *code = z ? z->data : NULL;
+        status = z ? hg_tensor_read(z, code) : hg_ctx_status(task->ctx);
         for (int64_t i = 0; status == HG_OK && i < count; i++)
             memcpy(style->strand_raw + (first + i) * task->strand_inputs + 2, code + i * latent,
                    (size_t)latent * sizeof *code);
@@ -192,8 +192,12 @@ hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file)
     char name[160];
     for (int i = 0; i < task->encoder->n_params; i++) {
         const hg_tensor *param = task->encoder->params[i];
+        void *values = hg_alloc(hg_tensor_bytes(param) + 1, 1);
         snprintf(name, sizeof name, "/encoder/%s", param->name);
-        HG_TRY(hg_h5_write(file, name, HG_F32, param->rank, param->shape, param->data));
+        hg_status status = values ? hg_tensor_read(param, values) : HG_MEMORY;
+        if (status == HG_OK) status = hg_h5_write(file, name, HG_F32, param->rank, param->shape, values);
+        hg_free(values);
+        HG_TRY(status);
     }
     return hg_h5_write(file, "/features/strand_scale", HG_F64, 1, (int64_t[]){ 1 }, &task->strand_scale);
 }

@@ -228,8 +228,9 @@ hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *ta
 {
     const int64_t V = task->groom->vertices;
     const int width = task->strand_inputs;
-    float *rest = subset->rest->data, *features = subset->features->data;
-    for (int64_t i = 0; i < subset->grooms * subset->n; i++) {
+    float *rest = hg_alloc(hg_tensor_bytes(subset->rest) + 1, 1),
+          *features = hg_alloc(hg_tensor_bytes(subset->features) + 1, 1);
+    for (int64_t i = 0; rest && features && i < subset->grooms * subset->n; i++) {
         const hg_hair_style *style = &task->styles[subset->first + i / subset->n];
         const int64_t s = subset->strand[i];
         memcpy(rest + i * V * 3, style->groom->points + s * V * 3, (size_t)V * 3 * sizeof *rest);
@@ -237,9 +238,11 @@ hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *ta
             features[i * width + k] =
                 (float)(((double)style->strand_raw[s * width + k] - task->mean[k]) / task->deviation[k]);
     }
-    hg_tensor_touch(subset->rest);
-    hg_tensor_touch(subset->features);
-    return HG_OK;
+    hg_status status = rest && features ? hg_tensor_write(subset->rest, rest) : HG_MEMORY;
+    if (status == HG_OK) status = hg_tensor_write(subset->features, features);
+    hg_free(rest);
+    hg_free(features);
+    return status;
 }
 
 void hg_hair_subset_destroy(hg_hair_subset *subset)

@@ -215,12 +215,13 @@ static hg_status rest_distance(hg_hair_task *task, const hg_groom *groom, const 
     hg_body_refit *refit = NULL;
     int32_t *triangle = hg_alloc((size_t)n, sizeof *triangle);
     float *point = hg_alloc((size_t)n * 3, sizeof *point), *normal = hg_alloc((size_t)n * 3, sizeof *normal);
-    hg_status status = triangle && point && normal ? hg_body_refit_create(&refit, tree, HG_F32) : HG_MEMORY;
-    if (status == HG_OK) status = hg_body_refit_update(task->ctx, refit, body->points);
+    hg_ctx *ctx = hg_ctx_on_host(task->ctx);
+    hg_status status = ctx && triangle && point && normal ? hg_body_refit_create(&refit, tree, HG_F32) : HG_MEMORY;
+    if (status == HG_OK) status = hg_body_refit_update(ctx, refit, body->points);
     for (int64_t i = 0; status == HG_OK && i < n; i++) triangle[i] = -1;
     if (status == HG_OK)
-        status = hg_body_closest(task->ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, groom->points, triangle,
-                                 point, normal);
+        status =
+            hg_body_closest(ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, groom->points, triangle, point, normal);
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
         const float *x = groom->points + 3 * i, *a = point + 3 * i, *m = normal + 3 * i;
         float distance = 0;

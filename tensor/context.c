@@ -52,6 +52,7 @@ void hg_ctx_destroy(hg_ctx *ctx)
     for (int i = 0; i < HG_HOOKS; i++)
         if (ctx->on_destroy[i]) ctx->on_destroy[i](ctx);
     hg_profile_stop(ctx);
+    hg_ctx_destroy(ctx->beside);
     hg_arena_free(&ctx->host);
     hg_arena_free(&ctx->data);
     if (ctx->workspace) ctx->device->free(ctx->device, ctx->workspace);
@@ -63,6 +64,15 @@ uint64_t hg_ctx_seed(const hg_ctx *ctx) { return ctx->seed; }
 int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
 const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
 bool hg_ctx_host(const hg_ctx *ctx) { return ctx->device->host; }
+hg_ctx *hg_ctx_on_host(hg_ctx *ctx)
+{
+    if (ctx->device->host) return ctx;
+    const hg_ctx_options options = { .threads = ctx->threads, .seed = ctx->seed };
+    if (!ctx->beside && hg_ctx_create(&ctx->beside, &options) != HG_OK)
+        hg_ctx_fail(ctx, HG_MEMORY, "out of memory: a context of the processor");
+    return ctx->beside;
+}
+
 hg_device_counts hg_ctx_counts(const hg_ctx *ctx) { return ctx->device->counts; }
 hg_dtype hg_ctx_compute_dtype(const hg_ctx *ctx) { return ctx->compute; }
 void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
@@ -118,6 +128,7 @@ void hg_ctx_clear(hg_ctx *ctx)
 {
     ctx->status = HG_OK;
     ctx->message[0] = 0;
+    if (ctx->beside) hg_ctx_clear(ctx->beside);
 }
 
 hg_status hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...)
@@ -160,6 +171,7 @@ void hg_step_reset(hg_ctx *ctx)
         if (ctx->on_reset[i]) ctx->on_reset[i](ctx);
     hg_arena_reset(&ctx->host, ctx->guard);
     hg_arena_reset(&ctx->data, ctx->guard);
+    if (ctx->beside) hg_step_reset(ctx->beside);
     ctx->file = NULL;
 }
 

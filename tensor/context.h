@@ -17,6 +17,7 @@ struct hg_ctx {
     void *workspace; /* for products, device memory, grows */
     size_t workspace_bytes;
     void *tape;
+    hg_ctx *beside; /* hg_ctx_on_host, of a device that is not the host; NULL: not made yet */
     hg_profile *profile; /* NULL: nothing is counted */
     const char *file;
     int line;

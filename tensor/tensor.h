@@ -63,6 +63,9 @@ uint64_t    hg_ctx_seed(const hg_ctx *ctx);
 int         hg_ctx_threads(const hg_ctx *ctx);
 const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu", "cuda" */
 bool        hg_ctx_host(const hg_ctx *ctx);                      /* may `data` be read and written by the processor? */
+/* For work on arrays of the host, such as scenes and files: ctx itself, or a context of the processor beside it, which is made at
+ * the first call and goes with it. NULL sets the error. */
+hg_ctx     *hg_ctx_on_host(hg_ctx *ctx);
 /* In what the factors of a layer's products (hg_linear of more than 256 rows, forward and both gradients) are rounded:
  * HG_F32 (default) or HG_BF16, summed in f32 either way; tensors, weights and everything else stay f32. HG_UNSUPPORTED where
  * the processor has no bf16 instructions: then it stays HG_F32. */

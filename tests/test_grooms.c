@@ -70,13 +70,14 @@ static double energy(trial *s, int n, const int32_t *groom, const int64_t *frame
     hg_hair_task *task = s->task;
     void *bytes = hg_alloc(1, hg_hair_batch_bytes(task, n, task->subset.n));
     hg_hair_batch *batch = hg_hair_batch_lay_out(task, bytes, n, task->subset.n);
-    double shape[HG_SHAPES] = { 0.3 }, unweighted[HG_HAIR_TERMS];
+    double shape[HG_SHAPES] = { 0.3 };
+    hg_tensor *unweighted;
     hg_step_reset(s->ctx);
     for (int b = 0; b < n; b++)
         assert_int_equal(hg_hair_batch_fill(task, s->ctx, batch, &task->subset, b, groom[b], &task->clips[0][0],
                                             frame[b], shape, NULL),
                          HG_OK);
-    const hg_tensor *value = hg_hair_energy(task, s->ctx, task->model, batch, &task->subset, unweighted);
+    const hg_tensor *value = hg_hair_energy(task, s->ctx, task->model, batch, &task->subset, &unweighted);
     if (!value) fail_msg("%s", hg_message());
     const double joule = hg_tensor_item(value, 0) * (double)(n * task->subset.n) * task->reference;
     hg_step_reset(s->ctx);
