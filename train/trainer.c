@@ -201,6 +201,7 @@ static void tell(const run *r)
 static hg_status write_log(run *r, hg_report *report, double norm, double rate)
 {
     const double now = seconds_now(), passed = now - r->logged;
+    hg_report_settle(report);
     hg_report_add(report, "loss", r->loss);
     hg_report_add(report, "gradient_norm", norm);
     hg_report_add(report, "learning_rate", rate);
