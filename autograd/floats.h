@@ -5,7 +5,8 @@
 #include "tensor/kernel.h"
 #include "tensor/math.h"
 
-#define F(name_) HG_PASTE(name_, SUFFIX)
+#define F(name_)       HG_PASTE(name_, SUFFIX)
+#define F_BLOCK(name_) HG_PASTE(HG_PASTE(name_, SUFFIX), _block) /* what HG_KERNELS_BLOCK calls on a GPU */
 
 /* Before a loop that has to become vectors. In f64 the C library's functions are called one by one, so there it is only
  * the compiler's choice: HG_SIMD is empty while the f64 kernels are included. */

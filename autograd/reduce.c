@@ -1,62 +1,52 @@
 /* Reductions: sum and mean of everything, sum and mean over an axis. Added in f64, in an order that the shape fixes.
  * The mean of nothing is 0. */
-#include "autograd/floats.h"
+#include "autograd/reduce.kernel.h"
 #include "autograd/tape.h"
 
 #include <string.h>
 
-typedef struct {
-    hg_dtype dtype;
-    int64_t outer, n, inner;
-    double scale;
-    const void *x, *g;
-    void *out;
-    bool fresh;
-} axis_args;
+/* ---- on both devices ---- */
 
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/reduce.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/reduce.inc"
-#undef REAL
-#undef SUFFIX
+enum { SLAB = 4096, FEW = 64 };
 
-static void axis_forward_cpu(const void *memory, int64_t first, int64_t last)
+/* A GPU: what is short is a thread's, a row a block's; where that makes too few of them, slabs are summed first. Like this it
+ * depends on the shape alone. */
+static hg_status sum_on_device(hg_ctx *ctx, int f64, axis_args *args)
 {
-    const axis_args *p = memory;
-    (p->dtype == HG_F32 ? axis_forward_f32 : axis_forward_f64)(p, first, last);
+    const int64_t count = args->outer * args->inner;
+    const bool rows = args->inner == 1 && args->n >= FEW;
+    int64_t slabs = (rows ? 256 : 65536) / (count ? count : 1);
+    const int64_t most = rows ? args->n / SLAB : args->n / FEW;
+    if (slabs > 256) slabs = 256;
+    if (slabs > most) slabs = most;
+    if (slabs > 1) {
+        args->slab = (args->n + slabs - 1) / slabs;
+        args->slabs = (args->n + args->slab - 1) / args->slab;
+        const hg_step_mark mark = hg_step_set_mark(ctx);
+        args->partial = hg_step_device(ctx, (size_t)(count * args->slabs) * sizeof(double));
+        if (!args->partial) return HG_MEMORY;
+        hg_status status =
+            hg_launch(ctx, (rows ? row_partial_kernels : axis_partial_kernels)[f64], count * args->slabs, args);
+        if (status == HG_OK)
+            status = hg_launch(ctx, (rows ? row_finish_kernels : axis_finish_kernels)[f64], count, args);
+        hg_step_rewind(ctx, mark);
+        return status;
+    }
+    args->slab = args->n;
+    args->slabs = 1;
+    return hg_launch(ctx, (rows ? row_forward_kernels : axis_forward_kernels)[f64], count, args);
 }
 
-static void axis_backward_cpu(const void *memory, int64_t first, int64_t last)
+hg_status hg_sum_middle(hg_ctx *ctx, hg_dtype dtype, int64_t outer, int64_t n, int64_t inner, double scale,
+                        const void *from, void *out, bool fresh)
 {
-    const axis_args *p = memory;
-    (p->dtype == HG_F32 ? axis_backward_f32 : axis_backward_f64)(p, first, last);
+    axis_args args = { .outer = outer, .n = n, .inner = inner, .scale = scale, .x = from, .out = out, .fresh = fresh };
+    if (!hg_ctx_host(ctx)) return sum_on_device(ctx, dtype == HG_F64, &args);
+    args.chunk = 65536 / (n + 1) + 1; /* a chunk of outputs reads about 64 K inputs */
+    return hg_launch(ctx, axis_forward_kernels[dtype == HG_F64], (outer * inner + args.chunk - 1) / args.chunk, &args);
 }
 
 /* ---- everything ---- */
-
-enum { BLOCK = 4096 };
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t n;
-    const void *x;
-    double *partial;
-} total_args;
-
-static void total_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const total_args *p = memory;
-    for (int64_t block = first; block < last; block++) {
-        int64_t at = block * BLOCK, n = p->n - at < BLOCK ? p->n - at : BLOCK;
-        p->partial[block] =
-            p->dtype == HG_F32 ? sum_of_f32((const float *)p->x + at, n) : sum_of_f64((const double *)p->x + at, n);
-    }
-}
 
 static hg_tensor *total_shape(hg_call *call)
 {
@@ -71,22 +61,23 @@ static double scale_of(const hg_call *call, bool mean)
 
 static hg_status total_forward(hg_call *call, bool mean)
 {
-    static const hg_kernel kernel = { .name = "sum", .args_size = sizeof(total_args), .cpu = total_cpu, .block = 1 };
     const hg_tensor *x = call->in[0];
-    int64_t n = hg_tensor_count(x), blocks = (n + BLOCK - 1) / BLOCK;
-    hg_step_mark mark = hg_step_set_mark(call->ctx);
-    hg_tensor *partial = hg_tensor_make(call->ctx, HG_F64, 1, &blocks);
-    if (!partial) return HG_MEMORY;
-    HG_TRY(hg_launch(call->ctx, &kernel, blocks, &(total_args){ x->dtype, n, x->data, partial->data }));
-    axis_args last = {
-        .dtype = HG_F64, .outer = 1, .n = blocks, .inner = 1, .scale = scale_of(call, mean), .x = partial->data
-    };
-    static const hg_kernel axis = { .name = "sum", .args_size = sizeof(axis_args), .cpu = axis_forward_cpu };
-    hg_tensor *sum = hg_tensor_make(call->ctx, HG_F64, 0, NULL);
-    if (!sum) return HG_MEMORY;
-    last.out = sum->data;
-    HG_TRY(hg_launch(call->ctx, &axis, 1, &last));
-    HG_TRY(hg_tensor_copy(call->out, sum));
+    const int f64 = x->dtype == HG_F64;
+    const int64_t n = hg_tensor_count(x);
+    axis_args args = { .outer = 1,
+                       .n = n,
+                       .inner = 1,
+                       .slab = SLAB,
+                       .slabs = (n + SLAB - 1) / SLAB,
+                       .scale = scale_of(call, mean),
+                       .x = x->data,
+                       .out = call->out->data,
+                       .fresh = true };
+    const hg_step_mark mark = hg_step_set_mark(call->ctx);
+    args.partial = hg_step_device(call->ctx, (size_t)args.slabs * sizeof(double));
+    if (!args.partial) return HG_MEMORY;
+    HG_TRY(hg_launch(call->ctx, row_partial_kernels[f64], args.slabs, &args));
+    HG_TRY(hg_launch(call->ctx, row_finish_kernels[f64], 1, &args));
     hg_step_rewind(call->ctx, mark);
     return HG_OK;
 }
@@ -94,12 +85,11 @@ static hg_status total_forward(hg_call *call, bool mean)
 /* One sum over a row that is the whole tensor. */
 static hg_status total_backward(hg_call *call, bool mean)
 {
-    static const hg_kernel kernel = { .name = "sum", .args_size = sizeof(axis_args), .cpu = axis_backward_cpu };
-    int64_t n = hg_tensor_count(call->in[0]);
-    axis_args args = { .dtype = call->out->dtype, .outer = 1, .n = n, .inner = 1, .scale = scale_of(call, mean) };
+    const int64_t n = hg_tensor_count(call->in[0]);
+    axis_args args = { .outer = 1, .n = n, .inner = 1, .scale = scale_of(call, mean) };
     args.g = hg_grad(call->out)->data;
     args.out = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, n, &args);
+    return hg_launch(call->ctx, axis_backward_kernels[call->out->dtype == HG_F64], n, &args);
 }
 
 static hg_status sum_forward(hg_call *call) { return total_forward(call, false); }
@@ -171,7 +161,7 @@ static axis_args axis_arguments(const hg_call *call, bool mean)
 {
     const hg_tensor *x = call->in[0];
     int axis = ((const axis_attributes *)call->attributes)->axis;
-    axis_args args = { .dtype = x->dtype, .outer = 1, .n = x->shape[axis], .inner = 1, .scale = 1, .x = x->data };
+    axis_args args = { .outer = 1, .n = x->shape[axis], .inner = 1, .scale = 1, .x = x->data };
     for (int i = 0; i < axis; i++) args.outer *= x->shape[i];
     for (int i = axis + 1; i < x->rank; i++) args.inner *= x->shape[i];
     if (mean) args.scale = args.n ? 1.0 / (double)args.n : 0;
@@ -180,21 +170,17 @@ static axis_args axis_arguments(const hg_call *call, bool mean)
 
 static hg_status axis_forward(hg_call *call, bool mean)
 {
-    axis_args args = axis_arguments(call, mean);
-    /* A block of outputs reads about 64 K inputs: fixed by the shape. */
-    int64_t block = 65536 / (args.n + 1) + 1;
-    const hg_kernel kernel = { .name = "sum_axis", .args_size = sizeof args, .cpu = axis_forward_cpu, .block = block };
-    args.out = call->out->data;
-    return hg_launch(call->ctx, &kernel, args.outer * args.inner, &args);
+    const axis_args args = axis_arguments(call, mean);
+    return hg_sum_middle(call->ctx, call->out->dtype, args.outer, args.n, args.inner, args.scale, args.x,
+                         call->out->data, true);
 }
 
 static hg_status axis_backward(hg_call *call, bool mean)
 {
-    static const hg_kernel kernel = { .name = "sum_axis", .args_size = sizeof(axis_args), .cpu = axis_backward_cpu };
     axis_args args = axis_arguments(call, mean);
     args.g = hg_grad(call->out)->data;
     args.out = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->in[0]), &args);
+    return hg_launch(call->ctx, axis_backward_kernels[call->out->dtype == HG_F64], hg_tensor_count(call->in[0]), &args);
 }
 
 static hg_status sum_axis_forward(hg_call *call) { return axis_forward(call, false); }
@@ -254,6 +240,8 @@ static const hg_sample axis_samples[] = {
     AXIS("nothing", 1, false, 2, 0, 3),
     AXIS("several blocks", 0, false, 2, 300, 40),
     AXIS("wide", 0, false, 2, 3, 300),
+    AXIS("rows", 1, false, 2, 3, 100),
+    AXIS("long rows", 1, false, 2, 2, 9001),
 };
 HG_OP(sum_axis, .formula = "sum over one axis", .min_in = 1, .max_in = 1, .attributes_size = sizeof(axis_attributes),
       .shape = axis_shape, .forward = sum_axis_forward, .backward = sum_axis_backward, .samples = axis_samples,

@@ -38,6 +38,10 @@ hg_status hg_add_partials(hg_ctx *ctx, hg_dtype dtype, int64_t count, int64_t si
 /* Overwrites or adds: out = or += from. */
 hg_status hg_accumulate(hg_ctx *ctx, hg_dtype dtype, int64_t count, const void *from, void *out, bool fresh);
 
+/* out = or += scale times the sum over the middle axis of [outer,n,inner], added in f64 in an order that the shape fixes. */
+hg_status hg_sum_middle(hg_ctx *ctx, hg_dtype dtype, int64_t outer, int64_t n, int64_t inner, double scale,
+                        const void *from, void *out, bool fresh);
+
 /* Input i of a sample as a new step tensor of dtype (i32 stays i32), with its values. */
 hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype dtype);
 
