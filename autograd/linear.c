@@ -5,8 +5,12 @@
  * of rows alone and their partial sums are added in a fixed tree.
  *
  * With hg_ctx_compute at HG_BF16 the factors of a layer of many rows are rounded to bf16 as they come into the cache, the
- * weights once per call; sums, activations, gradients and the weights themselves are f32 as before. */
+ * weights once per call; sums, activations, gradients and the weights themselves are f32 as before.
+ *
+ * Tiles are for a processor's cache. A GPU makes whole products, and what belongs to an element in a kernel between them; there
+ * the products themselves round their factors. */
 #include "autograd/activation.h"
+#include "autograd/linear.kernel.h"
 
 #include <string.h>
 
@@ -23,26 +27,17 @@ typedef struct {
     uint16_t *tiles_bf16;  /* per thread: a tile of x, then one of dz */
 } linear_args;
 
-typedef struct {
-    hg_dtype dtype;
-    hg_activation activation;
-    int64_t rows, groups, width;
-    const void *row_values, *group_values, *gradient;
-    void *out, *saved, *drows, *dgroups, *scratch;
-    bool drows_fresh;
-} pair_args;
-
 #define REAL   float
 #define SUFFIX _f32
 #define DTYPE  HG_F32
-#include "autograd/linear.inc"
+#include "autograd/linear_tiles.inc"
 #undef REAL
 #undef SUFFIX
 #undef DTYPE
 #define REAL   double
 #define SUFFIX _f64
 #define DTYPE  HG_F64
-#include "autograd/linear.inc"
+#include "autograd/linear_tiles.inc"
 #undef REAL
 #undef SUFFIX
 #undef DTYPE
@@ -117,7 +112,7 @@ static hg_status prepare_bf16(hg_ctx *ctx, linear_args *args)
     return hg_launch(ctx, &weight_bf16_kernel, weights, args);
 }
 
-/* A kernel for both float types. EACH_: the body takes one index; RANGE_: it takes the range. */
+/* The processor's kernels, for both float types. EACH_: the body takes one index; RANGE_: it takes the range. */
 #define EACH_KERNEL(name_, args_)                                                                                      \
     static void name_##_cpu(const void *memory, int64_t first, int64_t last)                                           \
     {                                                                                                                  \
@@ -150,7 +145,6 @@ static hg_status prepare_bf16(hg_ctx *ctx, linear_args *args)
 
 LINEAR_KERNEL(linear_forward)
 LINEAR_KERNEL(linear_backward)
-RANGE_KERNEL(linear_dz, linear_args, 4096)
 RANGE_KERNEL(column_sums, linear_args, 1024)
 RANGE_KERNEL(pair_forward, pair_args, 64)
 EACH_KERNEL(pair_backward, pair_args)
@@ -202,6 +196,16 @@ static linear_args linear_arguments(const hg_call *call)
                           .out = call->out->data };
 }
 
+/* The product, then bias and activation over it. */
+static hg_status forward_by_product(hg_ctx *ctx, const linear_args *args)
+{
+    HG_TRY(hg_product(ctx, args->dtype, false, false, args->rows, args->n_out, args->n_in, 1, args->x, args->n_in,
+                      args->weight, args->n_out, 0, args->out, args->n_out));
+    if (!args->bias && args->activation == HG_IDENTITY) return HG_OK;
+    const finish_args finish = { (int)args->activation, args->n_out, args->bias, args->out, args->saved };
+    return hg_launch(ctx, linear_finish_kernels[args->dtype == HG_F64], args->rows * args->n_out, &finish);
+}
+
 static hg_status linear_forward(hg_call *call)
 {
     linear_args args = linear_arguments(call);
@@ -210,6 +214,7 @@ static hg_status linear_forward(hg_call *call)
         if (!call->saved[0]) return HG_MEMORY;
         args.saved = call->saved[0]->data;
     }
+    if (!hg_launches(call->ctx, &linear_forward_kernel)) return forward_by_product(call->ctx, &args);
     hg_step_mark mark = hg_step_set_mark(call->ctx);
     hg_status status = prepare_bf16(call->ctx, &args);
     if (status == HG_OK)
@@ -219,30 +224,39 @@ static hg_status linear_forward(hg_call *call)
     return status;
 }
 
+/* dz = g act', in the step's memory; the gradient itself where there is nothing to do. NULL: the error is set. */
+static const void *make_dz(hg_call *call, hg_activation activation, const void *gradient, const void *saved)
+{
+    if (activation == HG_IDENTITY) return gradient;
+    const hg_tensor *dz = hg_out_like(call, call->out);
+    if (!dz) return NULL;
+    const dz_args args = { (int)activation, gradient, saved, dz->data };
+    return hg_launch(call->ctx, linear_dz_kernels[dz->dtype == HG_F64], hg_tensor_count(dz), &args) == HG_OK ? dz->data
+                                                                                                             : NULL;
+}
+
 /* Up to 256 rows there is one chunk: parallel inside the products instead. */
-static hg_status few_rows_backward(hg_call *call, linear_args *args, hg_tensor *x, hg_tensor *weight, hg_tensor *bias)
+static hg_status backward_by_products(hg_call *call, linear_args *args, hg_tensor *x, hg_tensor *weight,
+                                      hg_tensor *bias)
 {
     bool fresh;
-    if (args->activation == HG_IDENTITY) {
-        args->scratch = (void *)args->gradient;
-    } else {
-        hg_tensor *dz = hg_out_like(call, call->out);
-        if (!dz) return HG_MEMORY;
-        args->scratch = dz->data;
-        HG_TRY(hg_launch(call->ctx, &linear_dz_kernel, args->rows * args->n_out, args));
-    }
+    const void *dz = make_dz(call, args->activation, args->gradient, args->saved);
+    if (!dz) return hg_ctx_status(call->ctx);
     if (hg_needs_grad(x)) {
         void *dx = hg_grad_data(x, &fresh);
-        HG_TRY(hg_product(call->ctx, args->dtype, false, true, args->rows, args->n_in, args->n_out, 1, args->scratch,
-                          args->n_out, args->weight, args->n_out, fresh ? 0 : 1, dx, args->n_in));
+        HG_TRY(hg_product(call->ctx, args->dtype, false, true, args->rows, args->n_in, args->n_out, 1, dz, args->n_out,
+                          args->weight, args->n_out, fresh ? 0 : 1, dx, args->n_in));
     }
     if (hg_needs_grad(weight)) {
         void *dweight = hg_grad_data(weight, &fresh);
         HG_TRY(hg_product(call->ctx, args->dtype, true, false, args->n_in, args->n_out, args->rows, 1, args->x,
-                          args->n_in, args->scratch, args->n_out, fresh ? 0 : 1, dweight, args->n_out));
+                          args->n_in, dz, args->n_out, fresh ? 0 : 1, dweight, args->n_out));
     }
     if (!hg_needs_grad(bias)) return HG_OK;
     args->dbias = hg_grad_data(bias, &args->fresh);
+    if (!hg_launches(call->ctx, &column_sums_kernel))
+        return hg_sum_middle(call->ctx, args->dtype, 1, args->rows, args->n_out, 1, dz, args->dbias, args->fresh);
+    args->scratch = (void *)(uintptr_t)dz;
     return hg_launch(call->ctx, &column_sums_kernel, args->n_out, args);
 }
 
@@ -288,7 +302,8 @@ static hg_status linear_backward(hg_call *call)
     args.saved = call->saved[0] ? call->saved[0]->data : call->out->data;
     if (args.rows == 0) return HG_OK; /* the engine zeroes what is not written */
     hg_step_mark mark = hg_step_set_mark(call->ctx);
-    hg_status status = (args.rows <= TILE_ROWS ? few_rows_backward : many_rows_backward)(call, &args, x, weight, bias);
+    const bool tiles = args.rows > TILE_ROWS && hg_launches(call->ctx, &linear_backward_kernel);
+    const hg_status status = (tiles ? many_rows_backward : backward_by_products)(call, &args, x, weight, bias);
     hg_step_rewind(call->ctx, mark);
     return status;
 }
@@ -391,8 +406,8 @@ static hg_tensor *pair_shape(hg_call *call)
 static pair_args pair_arguments(const hg_call *call)
 {
     const hg_tensor *rows = call->in[0], *groups = call->in[1];
-    return (pair_args){ .dtype = rows->dtype,
-                        .activation = ((const linear_attributes *)call->attributes)->activation,
+    return (pair_args){ .dtype = (int)rows->dtype,
+                        .activation = (int)((const linear_attributes *)call->attributes)->activation,
                         .rows = rows->shape[0],
                         .groups = groups->shape[0],
                         .width = rows->shape[1],
@@ -409,7 +424,26 @@ static hg_status pair_forward(hg_call *call)
         if (!call->saved[0]) return HG_MEMORY;
         args.saved = call->saved[0]->data;
     }
-    return hg_launch(call->ctx, &pair_forward_kernel, args.rows, &args);
+    if (hg_launches(call->ctx, &pair_forward_kernel))
+        return hg_launch(call->ctx, &pair_forward_kernel, args.rows, &args);
+    return hg_launch(call->ctx, pair_elements_kernels[args.dtype == HG_F64], hg_tensor_count(call->out), &args);
+}
+
+/* dz of all elements, then its sums over groups and over rows. */
+static hg_status pair_backward_by_sums(hg_call *call, const pair_args *args)
+{
+    hg_tensor *rows = call->in[0], *groups = call->in[1];
+    const hg_dtype dtype = rows->dtype;
+    const void *dz = make_dz(call, (hg_activation)args->activation, args->gradient, args->saved);
+    bool fresh;
+    if (!dz) return hg_ctx_status(call->ctx);
+    if (hg_needs_grad(rows)) {
+        void *drows = hg_grad_data(rows, &fresh);
+        HG_TRY(hg_sum_middle(call->ctx, dtype, 1, args->groups, args->rows * args->width, 1, dz, drows, fresh));
+    }
+    if (!hg_needs_grad(groups)) return HG_OK;
+    void *dgroups = hg_grad_data(groups, &fresh);
+    return hg_sum_middle(call->ctx, dtype, args->groups, args->rows, args->width, 1, dz, dgroups, fresh);
 }
 
 static hg_status pair_backward(hg_call *call)
@@ -420,9 +454,15 @@ static hg_status pair_backward(hg_call *call)
     args.saved = call->saved[0] ? call->saved[0]->data : call->out->data;
     if (hg_tensor_count(call->out) == 0) return HG_OK;
     hg_step_mark mark = hg_step_set_mark(ctx);
+    if (!hg_launches(ctx, &pair_backward_kernel)) {
+        const hg_status done = pair_backward_by_sums(call, &args);
+        hg_step_rewind(ctx, mark);
+        return done;
+    }
+    const hg_dtype dtype = call->out->dtype;
     int64_t blocks = (args.rows + TILE_ROWS - 1) / TILE_ROWS;
-    hg_tensor *scratch = hg_tensor_make(ctx, args.dtype, 2, (int64_t[]){ hg_ctx_threads(ctx), args.width });
-    hg_tensor *partials = hg_tensor_make(ctx, args.dtype, 3, (int64_t[]){ blocks, args.groups, args.width });
+    hg_tensor *scratch = hg_tensor_make(ctx, dtype, 2, (int64_t[]){ hg_ctx_threads(ctx), args.width });
+    hg_tensor *partials = hg_tensor_make(ctx, dtype, 3, (int64_t[]){ blocks, args.groups, args.width });
     hg_status status = partials ? HG_OK : HG_MEMORY;
     if (status == HG_OK) {
         args.scratch = scratch->data;
@@ -433,7 +473,7 @@ static hg_status pair_backward(hg_call *call)
     if (status == HG_OK && args.dgroups) {
         bool fresh;
         void *dgroups = hg_grad_data(call->in[1], &fresh);
-        status = hg_add_partials(ctx, args.dtype, blocks, args.groups * args.width, args.dgroups, dgroups, fresh);
+        status = hg_add_partials(ctx, dtype, blocks, args.groups * args.width, args.dgroups, dgroups, fresh);
     }
     hg_step_rewind(ctx, mark);
     return status;

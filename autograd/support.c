@@ -1,4 +1,5 @@
 /* What the op files share: outputs, checks, sums of partial results, emitting shortcuts. */
+#include "autograd/support.kernel.h"
 #include "autograd/tape.h"
 
 #include <string.h>
@@ -49,43 +50,11 @@ int hg_axis_of(const hg_call *call, const hg_tensor *tensor, int axis)
 
 /* ---- sums of partial results ---- */
 
-typedef struct {
-    hg_dtype dtype;
-    int64_t count, size;
-    void *partials, *out;
-    bool fresh;
-} partials_args;
-
-#define PARTIALS(REAL, SUFFIX)                                                                                         \
-    static void partials_##SUFFIX(const partials_args *p, int64_t first, int64_t last)                                 \
-    {                                                                                                                  \
-        REAL *partials = p->partials, *out = p->out;                                                                   \
-        for (int64_t step = 1; step < p->count; step *= 2)                                                             \
-            for (int64_t i = 0; i + step < p->count; i += 2 * step) {                                                  \
-                REAL *restrict to = partials + i * p->size;                                                            \
-                const REAL *restrict from = partials + (i + step) * p->size;                                           \
-                for (int64_t e = first; e < last; e++) to[e] += from[e];                                               \
-            }                                                                                                          \
-        if (p->fresh)                                                                                                  \
-            for (int64_t e = first; e < last; e++) out[e] = partials[e];                                               \
-        else                                                                                                           \
-            for (int64_t e = first; e < last; e++) out[e] += partials[e];                                              \
-    }
-PARTIALS(float, f32)
-PARTIALS(double, f64)
-
-static void partials_cpu(const void *args, int64_t first, int64_t last)
-{
-    const partials_args *p = args;
-    (p->dtype == HG_F32 ? partials_f32 : partials_f64)(p, first, last);
-}
-
 hg_status hg_add_partials(hg_ctx *ctx, hg_dtype dtype, int64_t count, int64_t size, void *partials, void *out,
                           bool fresh)
 {
-    static const hg_kernel kernel = { .name = "add_partials", .args_size = sizeof(partials_args), .cpu = partials_cpu };
-    partials_args args = { dtype, count, size, partials, out, fresh };
-    return hg_launch(ctx, &kernel, size, &args);
+    const partials_args args = { count, size, partials, out, fresh };
+    return hg_launch(ctx, partials_kernels[dtype == HG_F64], size, &args);
 }
 
 hg_status hg_accumulate(hg_ctx *ctx, hg_dtype dtype, int64_t count, const void *from, void *out, bool fresh)
