@@ -152,20 +152,31 @@ hg_status hg_cache_seal(const char *from, const char *to, hg_cache_key key)
     return status;
 }
 
-bool hg_cache_sealed(const char *path, hg_cache_key key)
+hg_status hg_cache_read(const char *path, hg_cache_key key, void **bytes, size_t *size)
 {
     struct stat about;
-    if (lstat(path, &about) != 0 || !S_ISREG(about.st_mode) || about.st_uid != geteuid()) return false;
+    *bytes = NULL;
+    if (lstat(path, &about) != 0) return hg_fail(HG_IO, "%s: not in the cache", path);
+    if (!S_ISREG(about.st_mode) || about.st_uid != geteuid())
+        return hg_fail(HG_IO, "%s: not a file of this user's", path);
+    HG_TRY(hg_file_read(path, bytes, size));
+    seal s = { 0 };
+    if (*size > sizeof s) {
+        *size -= sizeof s;
+        const seal expected = seal_of(*bytes, *size, key);
+        memcpy(&s, (const char *)*bytes + *size, sizeof s);
+        if (memcmp(&s, &expected, sizeof s) == 0) return HG_OK;
+    }
+    hg_free(*bytes);
+    *bytes = NULL;
+    return hg_fail(HG_IO, "%s: it is not whole, or was made from something else", path);
+}
+
+bool hg_cache_sealed(const char *path, hg_cache_key key)
+{
     void *bytes;
     size_t size;
-    if (hg_file_read(path, &bytes, &size) != HG_OK) return false;
-    seal s = { 0 };
-    bool good = size > sizeof s;
-    if (good) {
-        const seal expected = seal_of(bytes, size - sizeof s, key);
-        memcpy(&s, (const char *)bytes + size - sizeof s, sizeof s);
-        good = memcmp(&s, &expected, sizeof s) == 0;
-    }
+    const bool good = hg_cache_read(path, key, &bytes, &size) == HG_OK;
     hg_free(bytes);
     return good;
 }

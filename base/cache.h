@@ -21,6 +21,8 @@ hg_status hg_cache_folder(char **folder);                         /* made when i
 hg_status hg_cache_workshop(const char *folder, char **workshop); /* ended by hg_cache_workshop_end */
 void hg_cache_workshop_end(char *workshop);                       /* removed with the files in it, and freed */
 hg_status hg_cache_seal(const char *from, const char *to, hg_cache_key key); /* at once, or not at all */
+hg_status hg_cache_read(const char *path, hg_cache_key key, void **bytes,
+                        size_t *size);                    /* sealed, without the seal; hg_free */
 bool hg_cache_sealed(const char *path, hg_cache_key key); /* there, a file of this user's, whole, of this key */
 
 #endif

@@ -3,9 +3,9 @@
  *     generate_texts OUT.c NAME FILE... [-- NAME FILE...]...
  *
  * gives `const char NAME[]`, the files one after the other without the lines that include each other (#include "..."). A
- * NAME that ends in "=" is kept as it is, includes and all. With a NAME that ends in "[]" the files are kept apart, under their
- * paths from the root of the sources: `hg_kernel_file NAME[]` of tensor/cuda/device.h, and with them the three headers of C that
- * NVRTC has not: empty but for the types, since its functions are there without. Run while the library is built. */
+ * NAME that ends in "=" is kept as it is, includes and all. With `NAME[] ROOT FILE...` the files are kept apart, under their paths
+ * from ROOT: `hg_kernel_file NAME[]` of tensor/cuda/device.h, and with them the three headers of C that NVRTC has not: empty but for
+ * the types, since its functions are there without. Run while the library is built. */
 #include <stdio.h>
 #include <string.h>
 
@@ -22,24 +22,23 @@ static int put_file(FILE *to, const char *path, int whole)
     return fclose(from) == 0;
 }
 
-/* The files from words[i] on, up to "--": where the words go on. */
+/* The files below words[i] that follow it, up to "--": where the words go on. */
 static int put_table(FILE *to, const char *name, int count, char **words, int i)
 {
+    const char *root = words[i++];
     const int first = i, length = (int)strlen(name) - 2;
     for (; i < count && strcmp(words[i], "--") != 0; i++) {
+        char path[4096];
         fprintf(to, "static const char file_%d[] = {\n", i);
-        if (!put_file(to, words[i], 1)) return fprintf(stderr, "generate_texts: %s cannot be read\n", words[i]), -1;
+        if (snprintf(path, sizeof path, "%s/%s", root, words[i]) >= (int)sizeof path || !put_file(to, path, 1))
+            return fprintf(stderr, "generate_texts: %s/%s cannot be read\n", root, words[i]), -1;
         fprintf(to, "0 };\n");
     }
     fprintf(to,
             "typedef struct { const char *name, *text; } hg_kernel_file;\nextern const hg_kernel_file %.*s[];\n"
             "const hg_kernel_file %.*s[] = {\n",
             length, name, length, name);
-    for (int k = first; k < i; k++) {
-        const char *path = words[k]; /* the build folder lies below the root */
-        while (strncmp(path, "../", 3) == 0) path += 3;
-        fprintf(to, "{ \"%s\", file_%d },\n", path, k);
-    }
+    for (int k = first; k < i; k++) fprintf(to, "{ \"%s\", file_%d },\n", words[k], k);
     fprintf(to,
             "{ \"math.h\", \"\" }, { \"stdint.h\", \"typedef signed char int8_t; typedef unsigned char uint8_t; "
             "typedef short int16_t; typedef unsigned short uint16_t; typedef int int32_t; typedef unsigned uint32_t; "
@@ -58,7 +57,7 @@ int main(int count, char **words)
     fprintf(to, "/* Made by base/generate_texts.c. */\n");
     for (int i = 2; i < count; i++) {
         const size_t length = strlen(words[i]);
-        if (length > 2 && strcmp(words[i] + length - 2, "[]") == 0) {
+        if (length > 2 && i + 1 < count && strcmp(words[i] + length - 2, "[]") == 0) {
             i = put_table(to, words[i], count, words, i + 1);
             if (i < 0) return 1;
             continue;

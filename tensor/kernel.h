@@ -65,6 +65,14 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
 
 #define HG_BODY  static inline
 #define HG_SIMD_ _Pragma("omp simd")
+#if defined(__has_builtin) /* without it padding may differ from step to step, and such a step is not replayed */
+#if __has_builtin(__builtin_clear_padding)
+#define HG_CLEAR_PADDING(pointer_) __builtin_clear_padding(pointer_)
+#endif
+#endif
+#ifndef HG_CLEAR_PADDING
+#define HG_CLEAR_PADDING(pointer_) (void)(pointer_)
+#endif
 #ifndef HG_KERNEL_SOURCE /* a file that the library carries, or a text (HG_KERNEL_TEXT) */
 #define HG_KERNEL_SOURCE __FILE__
 #endif
@@ -73,13 +81,15 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
     {                                                                                                                  \
         name_((const args_ *)memory, first, last);                                                                     \
     }                                                                                                                  \
+    static inline void name_##_clear(void *memory) { HG_CLEAR_PADDING((args_ *)memory); }                              \
     static const hg_kernel name_##_kernel = { .name = #name_,                                                          \
                                               .cuda = HG_KERNEL_SOURCE,                                                \
                                               .args_size = sizeof(args_),                                              \
                                               .cpu = name_##_cpu,                                                      \
                                               .block = block_,                                                         \
                                               .threads = threads_,                                                     \
-                                              .indices = indices_ };
+                                              .indices = indices_,                                                     \
+                                              .clear = name_##_clear };
 #define HG_KERNEL(name_, args_, block_)                 HG_KERNEL_OF_(name_, args_, block_, 0, 0)
 #define HG_KERNEL_BLOCK(name_, args_, block_, threads_) HG_KERNEL_OF_(name_, args_, block_, threads_, 1)
 #define HG_KERNEL_PAIR_(name_)                                                                                         \

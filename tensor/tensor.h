@@ -147,6 +147,7 @@ typedef struct {
     int threads;   /* of a block of the GPU, 0: 256 */
     int indices;   /* that a block of the GPU takes; 0: one for each of its threads */
     size_t shared; /* dynamic shared memory of a block of the GPU, bytes */
+    void (*clear)(void *args); /* zeroes the padding of args, which has to be the same from step to step; NULL: there is none */
 } hg_kernel;
 
 hg_status hg_launch(hg_ctx *ctx, const hg_kernel *kernel, int64_t n, const void *args);

@@ -8,7 +8,12 @@
 
 /* ---- driver: libcuda.so.1 ------------------------------------------------------------------------------------ */
 
-typedef int CUresult, CUdevice;
+#ifndef HG_CUDA_OWN_TYPES /* defined as 0 where NVIDIA's headers stand instead */
+#define HG_CUDA_OWN_TYPES 1
+#endif
+
+#if HG_CUDA_OWN_TYPES
+typedef int CUdevice;
 typedef unsigned long long CUdeviceptr;
 typedef struct CUctx_st *CUcontext;
 typedef struct CUmod_st *CUmodule;
@@ -18,22 +23,32 @@ typedef struct CUevent_st *CUevent;
 typedef struct CUgraph_st *CUgraph;
 typedef struct CUgraphExec_st *CUgraphExec;
 typedef struct CUgraphNode_st *CUgraphNode;
+/* enums of NVIDIA's, which compilers hold in these */
+typedef unsigned int CUresult, CUdevice_attribute, CUfunction_attribute, CUstreamCaptureMode, CUgraphExecUpdateResult;
+#endif
 
-enum { CUDA_SUCCESS = 0, CUDA_ERROR_OUT_OF_MEMORY = 2 };
-enum { /* CUdevice_attribute */
-       CU_ATTRIBUTE_MULTIPROCESSOR_COUNT = 16,
-       CU_ATTRIBUTE_COMPUTE_MAJOR = 75,
-       CU_ATTRIBUTE_COMPUTE_MINOR = 76,
-       CU_ATTRIBUTE_SHARED_OPTIN = 97,
-};
-enum { CU_FUNC_MAX_DYNAMIC_SHARED = 8 }; /* CUfunction_attribute */
-enum { CU_STREAM_NON_BLOCKING = 1 };
-enum { CU_CAPTURE_THREAD_LOCAL = 1 };
+#define HG_CUDA_UPDATE_INFO                                                                                            \
+    struct {                                                                                                           \
+        CUgraphExecUpdateResult result;                                                                                \
+        CUgraphNode errorNode, errorFromNode;                                                                          \
+    }
+#if HG_CUDA_OWN_TYPES
+typedef HG_CUDA_UPDATE_INFO CUgraphExecUpdateResultInfo;
+#endif
 
-typedef struct {
-    int result;
-    CUgraphNode errorNode, errorFromNode;
-} CUgraphExecUpdateResultInfo;
+/* X(name, value): enumerators and flags. */
+#define HG_CUDA_DRIVER_VALUES(X)                                                                                       \
+    X(CUDA_SUCCESS, 0)                                                                                                 \
+    X(CUDA_ERROR_OUT_OF_MEMORY, 2)                                                                                     \
+    X(CUDA_ERROR_NOT_READY, 600)                                                                                       \
+    X(CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT, 16)                                                                    \
+    X(CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, 75)                                                                \
+    X(CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR, 76)                                                                \
+    X(CU_DEVICE_ATTRIBUTE_MAX_SHARED_MEMORY_PER_BLOCK_OPTIN, 97)                                                       \
+    X(CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES, 8)                                                              \
+    X(CU_STREAM_NON_BLOCKING, 1)                                                                                       \
+    X(CU_EVENT_DISABLE_TIMING, 2)                                                                                      \
+    X(CU_STREAM_CAPTURE_MODE_THREAD_LOCAL, 1)
 
 /* X(field, symbol, result, arguments): the symbol is what the library exports. */
 #define HG_CUDA_DRIVER(X)                                                                                              \
@@ -45,7 +60,7 @@ typedef struct {
     X(cuDeviceGet, "cuDeviceGet", CUresult, (CUdevice *, int))                                                         \
     X(cuDeviceGetName, "cuDeviceGetName", CUresult, (char *, int, CUdevice))                                           \
     X(cuDeviceTotalMem, "cuDeviceTotalMem_v2", CUresult, (size_t *, CUdevice))                                         \
-    X(cuDeviceGetAttribute, "cuDeviceGetAttribute", CUresult, (int *, int, CUdevice))                                  \
+    X(cuDeviceGetAttribute, "cuDeviceGetAttribute", CUresult, (int *, CUdevice_attribute, CUdevice))                   \
     X(cuDevicePrimaryCtxRetain, "cuDevicePrimaryCtxRetain", CUresult, (CUcontext *, CUdevice))                         \
     X(cuDevicePrimaryCtxRelease, "cuDevicePrimaryCtxRelease_v2", CUresult, (CUdevice))                                 \
     X(cuCtxSetCurrent, "cuCtxSetCurrent", CUresult, (CUcontext))                                                       \
@@ -56,13 +71,15 @@ typedef struct {
     X(cuMemFreeHost, "cuMemFreeHost", CUresult, (void *))                                                              \
     X(cuMemcpyHtoDAsync, "cuMemcpyHtoDAsync_v2", CUresult, (CUdeviceptr, const void *, size_t, CUstream))              \
     X(cuMemcpyDtoHAsync, "cuMemcpyDtoHAsync_v2", CUresult, (void *, CUdeviceptr, size_t, CUstream))                    \
+    X(cuMemcpyDtoDAsync, "cuMemcpyDtoDAsync_v2", CUresult, (CUdeviceptr, CUdeviceptr, size_t, CUstream))               \
     X(cuStreamCreate, "cuStreamCreate", CUresult, (CUstream *, unsigned int))                                          \
     X(cuStreamDestroy, "cuStreamDestroy_v2", CUresult, (CUstream))                                                     \
     X(cuStreamSynchronize, "cuStreamSynchronize", CUresult, (CUstream))                                                \
-    X(cuStreamBeginCapture, "cuStreamBeginCapture_v2", CUresult, (CUstream, int))                                      \
+    X(cuStreamBeginCapture, "cuStreamBeginCapture_v2", CUresult, (CUstream, CUstreamCaptureMode))                      \
     X(cuStreamEndCapture, "cuStreamEndCapture", CUresult, (CUstream, CUgraph *))                                       \
     X(cuEventCreate, "cuEventCreate", CUresult, (CUevent *, unsigned int))                                             \
     X(cuEventRecord, "cuEventRecord", CUresult, (CUevent, CUstream))                                                   \
+    X(cuEventQuery, "cuEventQuery", CUresult, (CUevent))                                                               \
     X(cuEventSynchronize, "cuEventSynchronize", CUresult, (CUevent))                                                   \
     X(cuEventDestroy, "cuEventDestroy_v2", CUresult, (CUevent))                                                        \
     X(cuGraphInstantiate, "cuGraphInstantiateWithFlags", CUresult, (CUgraphExec *, CUgraph, unsigned long long))       \
@@ -73,15 +90,17 @@ typedef struct {
     X(cuModuleLoadData, "cuModuleLoadData", CUresult, (CUmodule *, const void *))                                      \
     X(cuModuleUnload, "cuModuleUnload", CUresult, (CUmodule))                                                          \
     X(cuModuleGetFunction, "cuModuleGetFunction", CUresult, (CUfunction *, CUmodule, const char *))                    \
-    X(cuFuncSetAttribute, "cuFuncSetAttribute", CUresult, (CUfunction, int, int))                                      \
+    X(cuFuncSetAttribute, "cuFuncSetAttribute", CUresult, (CUfunction, CUfunction_attribute, int))                     \
     X(cuLaunchKernel, "cuLaunchKernel", CUresult,                                                                      \
       (CUfunction, unsigned int, unsigned int, unsigned int, unsigned int, unsigned int, unsigned int, unsigned int,   \
        CUstream, void **, void **))
 
 /* ---- NVRTC: libnvrtc.so.13, .12 ------------------------------------------------------------------------------ */
 
+#if HG_CUDA_OWN_TYPES
 typedef struct _nvrtcProgram *nvrtcProgram;
-typedef int nvrtcResult;
+typedef unsigned int nvrtcResult;
+#endif
 
 #define HG_CUDA_NVRTC(X)                                                                                               \
     X(nvrtcVersion, "nvrtcVersion", nvrtcResult, (int *, int *))                                                       \
@@ -101,32 +120,52 @@ typedef int nvrtcResult;
 
 /* ---- cuBLAS: libcublas.so.13, .12 ---------------------------------------------------------------------------- */
 
+#if HG_CUDA_OWN_TYPES
 typedef struct cublasContext *cublasHandle_t;
-typedef int cublasStatus_t;
-enum { CUBLAS_OP_N = 0, CUBLAS_OP_T = 1 };
-enum { CUDA_R_32F = 0, CUDA_R_64F = 1, CUDA_R_16BF = 14 };                                    /* cudaDataType */
-enum { CUBLAS_COMPUTE_32F = 68, CUBLAS_COMPUTE_64F = 70, CUBLAS_COMPUTE_32F_FAST_TF32 = 77 }; /* cublasComputeType_t */
-enum { CUBLAS_GEMM_DEFAULT = -1 };
+typedef unsigned int cublasStatus_t, cublasOperation_t, cudaDataType, cublasComputeType_t, libraryPropertyType;
+typedef int cublasGemmAlgo_t;
+#endif
+
+#define HG_CUDA_BLAS_VALUES(X)                                                                                         \
+    X(CUBLAS_STATUS_SUCCESS, 0)                                                                                        \
+    X(CUBLAS_OP_N, 0)                                                                                                  \
+    X(CUBLAS_OP_T, 1)                                                                                                  \
+    X(CUDA_R_32F, 0)                                                                                                   \
+    X(CUDA_R_64F, 1)                                                                                                   \
+    X(CUDA_R_16BF, 14)                                                                                                 \
+    X(CUBLAS_COMPUTE_32F, 68)                                                                                          \
+    X(CUBLAS_COMPUTE_64F, 70)                                                                                          \
+    X(CUBLAS_COMPUTE_32F_FAST_TF32, 77)                                                                                \
+    X(CUBLAS_GEMM_DEFAULT, -1)                                                                                         \
+    X(MAJOR_VERSION, 0)                                                                                                \
+    X(MINOR_VERSION, 1)
 
 #define HG_CUDA_BLAS(X)                                                                                                \
     X(cublasCreate, "cublasCreate_v2", cublasStatus_t, (cublasHandle_t *))                                             \
     X(cublasDestroy, "cublasDestroy_v2", cublasStatus_t, (cublasHandle_t))                                             \
-    X(cublasGetVersion, "cublasGetVersion_v2", cublasStatus_t, (cublasHandle_t, int *))                                \
+    X(cublasGetProperty, "cublasGetProperty", cublasStatus_t, (libraryPropertyType, int *))                            \
     X(cublasSetStream, "cublasSetStream_v2", cublasStatus_t, (cublasHandle_t, CUstream))                               \
     X(cublasSetWorkspace, "cublasSetWorkspace_v2", cublasStatus_t, (cublasHandle_t, void *, size_t))                   \
     X(cublasGetStatusString, "cublasGetStatusString", const char *, (cublasStatus_t))                                  \
     X(cublasGemmEx, "cublasGemmEx", cublasStatus_t,                                                                    \
-      (cublasHandle_t, int, int, int, int, int, const void *, const void *, int, int, const void *, int, int,          \
-       const void *, void *, int, int, int, int))
+      (cublasHandle_t, cublasOperation_t, cublasOperation_t, int, int, int, const void *, const void *, cudaDataType,  \
+       int, const void *, cudaDataType, int, const void *, void *, cudaDataType, int, cublasComputeType_t,             \
+       cublasGemmAlgo_t))
 
 /* ---- tables -------------------------------------------------------------------------------------------------- */
+
+#if HG_CUDA_OWN_TYPES
+#define HG_CUDA_VALUE(name_, value_) name_ = (value_),
+enum { HG_CUDA_DRIVER_VALUES(HG_CUDA_VALUE) };
+enum { HG_CUDA_BLAS_VALUES(HG_CUDA_VALUE) };
+#endif
 
 #define HG_CUDA_FIELD(field_, symbol_, result_, arguments_) result_(*field_) arguments_;
 typedef struct {
     HG_CUDA_DRIVER(HG_CUDA_FIELD)
     HG_CUDA_NVRTC(HG_CUDA_FIELD)
     HG_CUDA_BLAS(HG_CUDA_FIELD)
-    int driver_version, nvrtc_major, nvrtc_minor;
+    int driver_version, nvrtc_major, nvrtc_minor, blas_major, blas_minor;
 } hg_cuda_api;
 
 /* Opened once for the process and kept. One sentence why not: no driver, no NVRTC, no cuBLAS, too old. */

@@ -1,24 +1,19 @@
-/* From a kernel to a CUfunction: the file or text that it names goes through NVRTC once, for the device's architecture; the
- * result is kept in the cache on disk, under a hash of all that it depends on, and loaded from there the next time. */
+/* From a kernel to a CUfunction: the file or text that it names goes through NVRTC once, for the device's architecture, with the
+ * files that it includes; the result is kept in the cache on disk, under a hash of all that it depends on, and loaded from there
+ * the next time. A kernel is known by its address, its module by its text. */
 #include "base/cache.h"
 #include "tensor/cuda/device.h"
 
 #include <stdio.h>
 #include <string.h>
-#include <unistd.h>
 
-enum { FILES = 128, OPTIONS = 8 };
-
-typedef struct loaded {
-    const hg_kernel *kernel;
-    CUfunction function;
-    struct loaded *next;
-} loaded;
+enum { FILES = 128, OPTIONS = 4, LOG_LINES = 8 };
 
 struct hg_cuda_module {
     uint64_t key; /* of its text */
     CUmodule module;
-    loaded *functions;
+    bool carried; /* a file that the library carries: kept; a text of its own goes with the last of its kernels */
+    int users;
     hg_cuda_module *next;
 };
 
@@ -43,17 +38,46 @@ bool hg_cuda_has_function(const hg_kernel *kernel)
     return kernel->cuda && (is_text(kernel->cuda) || find_file(kernel->cuda));
 }
 
-static hg_status make_source(const hg_kernel *kernel, hg_text *source)
+/* What NVRTC is given: the text, and the files that it includes, directly or through others. */
+typedef struct {
+    hg_text text;
+    const char *names[FILES], *texts[FILES];
+    int n_files;
+} source;
+
+static void add_includes(source *s, const char *text)
 {
+    static const char mark[] = "#include ";
+    for (const char *at = text; (at = strstr(at, mark));) {
+        at += sizeof mark - 1;
+        const char *end = *at == '"' ? strchr(at + 1, '"') : *at == '<' ? strchr(at + 1, '>') : NULL;
+        if (!end) continue;
+        const size_t length = (size_t)(end - at - 1);
+        const hg_kernel_file *file = hg_kernel_files;
+        while (file->name && (strncmp(file->name, at + 1, length) != 0 || file->name[length])) file++;
+        bool known = !file->name; /* the processor's alone, behind an #ifdef; if not, NVRTC says so */
+        for (int i = 0; i < s->n_files && !known; i++) known = s->names[i] == file->name;
+        if (known || s->n_files == FILES) continue;
+        s->names[s->n_files] = file->name;
+        s->texts[s->n_files++] = file->text;
+        add_includes(s, file->text);
+    }
+}
+
+static hg_status make_source(const hg_kernel *kernel, source *s)
+{
+    memset(s, 0, sizeof *s);
     if (is_text(kernel->cuda)) {
-        hg_text_add(source, "#include \"tensor/kernel.h\"\n%s\n", kernel->cuda);
+        hg_text_add(&s->text, "#include \"tensor/kernel.h\"\n%s\n", kernel->cuda);
     } else {
         const hg_kernel_file *file = find_file(kernel->cuda);
         if (!file)
             return hg_fail(HG_UNSUPPORTED, "%s: the library carries no file %s for CUDA", kernel->name, kernel->cuda);
-        hg_text_add(source, "#include \"%s\"\n", file->name);
+        hg_text_add(&s->text, "#include \"%s\"\n", file->name);
     }
-    return source->failed ? HG_MEMORY : HG_OK;
+    if (s->text.failed) return HG_MEMORY;
+    add_includes(s, s->text.data);
+    return HG_OK;
 }
 
 /* ---- NVRTC ---- */
@@ -91,64 +115,78 @@ static hg_status find_target(const hg_cuda_device *d, target *t)
     return HG_OK;
 }
 
-static hg_status compile(const hg_cuda_device *d, const hg_kernel *kernel, const char *source, const target *t,
+/* The first lines of a compiler's log. */
+static void shorten(char *log)
+{
+    for (int line = 0; *log; log++)
+        if (*log == '\n' && ++line == LOG_LINES) {
+            *log = 0;
+            return;
+        }
+}
+
+static hg_status compile(const hg_cuda_device *d, const hg_kernel *kernel, const source *s, const target *t,
                          void **image, size_t *size)
 {
     const hg_cuda_api *api = d->api;
-    const char *names[FILES], *texts[FILES];
-    int n = 0;
-    for (const hg_kernel_file *file = hg_kernel_files; file->name && n < FILES; file++, n++)
-        names[n] = file->name, texts[n] = file->text;
     nvrtcProgram program;
-    nvrtcResult result = api->nvrtcCreateProgram(&program, source, kernel->name, n, texts, names);
-    if (result == 0) {
-        result = api->nvrtcCompileProgram(program, t->n_options, t->options);
+    nvrtcResult result = api->nvrtcCreateProgram(&program, s->text.data, kernel->name, s->n_files, s->texts, s->names);
+    if (result != 0)
+        return hg_fail(HG_UNSUPPORTED, "cuda: %s cannot be compiled: %s", kernel->name,
+                       api->nvrtcGetErrorString(result));
+    hg_status status = HG_OK;
+    result = api->nvrtcCompileProgram(program, t->n_options, t->options);
+    if (result != 0) {
         size_t length = 0;
         char *log = NULL;
-        if (result != 0 && api->nvrtcGetProgramLogSize(program, &length) == 0 && (log = hg_alloc(length + 1, 1)))
-            api->nvrtcGetProgramLog(program, log);
-        if (result != 0)
-            hg_fail(HG_UNSUPPORTED, "cuda: %s does not compile (%s): %.600s", kernel->name,
-                    api->nvrtcGetErrorString(result), log ? log : "");
+        if (api->nvrtcGetProgramLogSize(program, &length) == 0 && (log = hg_alloc(length + 1, 1)) &&
+            api->nvrtcGetProgramLog(program, log) == 0)
+            shorten(log);
+        status = hg_fail(HG_UNSUPPORTED, "cuda: %s (%s) does not compile: %s\n%s", kernel->name,
+                         is_text(kernel->cuda) ? "a text of its own" : find_file(kernel->cuda)->name,
+                         api->nvrtcGetErrorString(result), log ? log : "");
         hg_free(log);
-        if (result == 0)
-            result = t->binary ? api->nvrtcGetCUBINSize(program, size) : api->nvrtcGetPTXSize(program, size);
+    } else {
+        result = t->binary ? api->nvrtcGetCUBINSize(program, size) : api->nvrtcGetPTXSize(program, size);
         if (result == 0) {
             *image = hg_alloc(*size + 1, 1);
-            if (*image) result = t->binary ? api->nvrtcGetCUBIN(program, *image) : api->nvrtcGetPTX(program, *image);
+            if (!*image) status = HG_MEMORY;
         }
-        api->nvrtcDestroyProgram(&program);
+        if (*image) result = t->binary ? api->nvrtcGetCUBIN(program, *image) : api->nvrtcGetPTX(program, *image);
+        if (result != 0)
+            status = hg_fail(HG_UNSUPPORTED, "cuda: %s: NVRTC gave nothing back: %s", kernel->name,
+                             api->nvrtcGetErrorString(result));
     }
-    if (result != 0 || !*image) return result != 0 ? HG_UNSUPPORTED : HG_MEMORY;
-    return HG_OK;
+    api->nvrtcDestroyProgram(&program);
+    return status;
 }
 
 /* ---- modules ---- */
 
-static hg_cache_key key_of(const hg_cuda_device *d, const char *source, const target *t)
+static hg_cache_key key_of(const hg_cuda_device *d, const source *s, const target *t)
 {
-    hg_cache_key key = { { 0x6875646121, 1 } };
+    hg_cache_key key = { { 0x6875646121, 2 } };
     const int versions[3] = { d->api->driver_version, d->api->nvrtc_major, d->api->nvrtc_minor };
     key = hg_cache_key_add(key, versions, sizeof versions);
-    key = hg_cache_key_add(key, source, strlen(source));
+    key = hg_cache_key_add(key, s->text.data, s->text.size);
     for (int i = 0; i < t->n_options; i++) key = hg_cache_key_add(key, t->options[i], strlen(t->options[i]) + 1);
-    for (const hg_kernel_file *file = hg_kernel_files; file->name; file++)
-        key = hg_cache_key_add(key, file->text, strlen(file->text));
+    for (int i = 0; i < s->n_files; i++) {
+        key = hg_cache_key_add(key, s->names[i], strlen(s->names[i]));
+        key = hg_cache_key_add(key, s->texts[i], strlen(s->texts[i]));
+    }
     return key;
 }
 
 /* From the cache, or compiled and put there; a cache that cannot be used costs time, not the run. */
-static hg_status find_image(const hg_cuda_device *d, const hg_kernel *kernel, const char *source, const target *t,
+static hg_status find_image(const hg_cuda_device *d, const hg_kernel *kernel, const source *s, const target *t,
                             void **image, size_t *size)
 {
-    const hg_cache_key key = key_of(d, source, t);
+    const hg_cache_key key = key_of(d, s, t);
     char *folder = NULL, *path = NULL;
     if (hg_cache_folder(&folder) == HG_OK) path = hg_cache_path(folder, key, t->binary ? "cubin" : "ptx");
     hg_status status = HG_OK;
-    if (path && hg_cache_sealed(path, key)) {
-        status = hg_file_read(path, image, size);
-    } else {
-        status = compile(d, kernel, source, t, image, size);
+    if (!path || hg_cache_read(path, key, image, size) != HG_OK) {
+        status = compile(d, kernel, s, t, image, size);
         char *workshop = NULL, *made = NULL;
         if (status == HG_OK && path && hg_cache_workshop(folder, &workshop) == HG_OK) {
             made = hg_path_join(workshop, "image");
@@ -162,8 +200,7 @@ static hg_status find_image(const hg_cuda_device *d, const hg_kernel *kernel, co
     return status;
 }
 
-static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, const char *source, uint64_t key,
-                             hg_cuda_module **out)
+static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, const source *s, hg_cuda_module **out)
 {
     target t;
     void *image = NULL;
@@ -171,82 +208,135 @@ static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, const c
     HG_TRY(find_target(d, &t));
     hg_cuda_module *module = hg_alloc(1, sizeof *module);
     if (!module) return HG_MEMORY;
-    hg_status status = find_image(d, kernel, source, &t, &image, &size);
+    hg_status status = find_image(d, kernel, s, &t, &image, &size);
     if (status == HG_OK) status = hg_cuda_check(d->api, d->api->cuModuleLoadData(&module->module, image), kernel->name);
     hg_free(image);
     if (status != HG_OK) {
         hg_free(module);
         return status;
     }
-    module->key = key;
+    module->key = hg_hash(s->text.data, s->text.size, 0);
+    module->carried = !is_text(kernel->cuda);
     module->next = d->modules;
     d->modules = *out = module;
     return HG_OK;
 }
 
-hg_status hg_cuda_function(hg_cuda_device *d, const hg_kernel *kernel, CUfunction *function)
+static hg_status find_module(hg_cuda_device *d, const hg_kernel *kernel, hg_cuda_module **out)
 {
-    for (hg_cuda_module *module = d->modules; module; module = module->next)
-        for (const loaded *f = module->functions; f; f = f->next)
-            if (f->kernel == kernel) {
-                *function = f->function;
-                return HG_OK;
-            }
-    if (!kernel->cuda) return hg_fail(HG_UNSUPPORTED, "%s: this kernel has no body for cuda", kernel->name);
-    hg_text source = { 0 };
-    char name[128];
-    hg_status status = make_source(kernel, &source);
-    hg_cuda_module *module = NULL;
-    loaded *f = hg_alloc(1, sizeof *f);
-    if (!f) status = HG_MEMORY;
+    source s;
+    hg_status status = make_source(kernel, &s);
     if (status == HG_OK) {
-        const uint64_t key = hg_hash(source.data, source.size, 0);
-        for (module = d->modules; module && module->key != key;) module = module->next;
-        if (!module) status = make_module(d, kernel, source.data, key, &module);
+        const uint64_t key = hg_hash(s.text.data, s.text.size, 0);
+        for (*out = d->modules; *out && (*out)->key != key;) *out = (*out)->next;
+        if (!*out) status = make_module(d, kernel, &s, out);
     }
-    hg_text_free(&source);
-    if (status == HG_OK) {
-        snprintf(name, sizeof name, "%s_cuda", kernel->name);
-        status = hg_cuda_check(d->api, d->api->cuModuleGetFunction(&f->function, module->module, name), name);
-    }
-    if (status == HG_OK && kernel->shared > 48 << 10)
-        status = hg_cuda_check(
-            d->api, d->api->cuFuncSetAttribute(f->function, CU_FUNC_MAX_DYNAMIC_SHARED, (int)kernel->shared), name);
-    if (status != HG_OK) {
-        hg_free(f);
-        return status;
-    }
-    f->kernel = kernel;
-    f->next = module->functions;
-    module->functions = f;
-    *function = f->function;
+    hg_text_free(&s.text);
+    return status;
+}
+
+static void unload(hg_cuda_device *d, hg_cuda_module *module)
+{
+    hg_cuda_module **at = &d->modules;
+    while (*at != module) at = &(*at)->next;
+    *at = module->next;
+    d->api->cuModuleUnload(module->module);
+    hg_free(module);
+}
+
+/* ---- kernels by address ---- */
+
+/* Where a kernel is, or would be: its cell of a table that is never full. */
+static hg_cuda_kernel *cell(hg_cuda_kernel *table, int room, const hg_kernel *kernel)
+{
+    uint64_t at = (uint64_t)(uintptr_t)kernel * 0x9e3779b97f4a7c15u >> 32;
+    while (table[at & (uint64_t)(room - 1)].kernel && table[at & (uint64_t)(room - 1)].kernel != kernel) at++;
+    return &table[at & (uint64_t)(room - 1)];
+}
+
+static hg_status grow_table(hg_cuda_device *d)
+{
+    const int room = d->n_room ? 2 * d->n_room : 64;
+    hg_cuda_kernel *table = hg_alloc((size_t)room, sizeof *table);
+    if (!table) return HG_MEMORY;
+    for (int i = 0; i < d->n_room; i++)
+        if (d->kernels[i].kernel) *cell(table, room, d->kernels[i].kernel) = d->kernels[i];
+    hg_free(d->kernels);
+    d->kernels = table;
+    d->n_room = room;
     return HG_OK;
 }
 
+/* Those behind it, up to the next gap, may stand where they stand because of it: each is put in anew. */
+static void take_out(hg_cuda_device *d, const hg_kernel *kernel)
+{
+    hg_cuda_kernel *gone = cell(d->kernels, d->n_room, kernel);
+    *gone = (hg_cuda_kernel){ 0 };
+    d->n_kernels--;
+    for (int i = (int)(gone - d->kernels);;) {
+        i = (i + 1) % d->n_room;
+        const hg_cuda_kernel k = d->kernels[i];
+        if (!k.kernel) return;
+        d->kernels[i] = (hg_cuda_kernel){ 0 };
+        *cell(d->kernels, d->n_room, k.kernel) = k;
+    }
+}
+
+static hg_status add_kernel(hg_cuda_device *d, const hg_kernel *kernel, CUfunction *function)
+{
+    if (!kernel->cuda) return hg_fail(HG_UNSUPPORTED, "%s: this kernel has no body for cuda", kernel->name);
+    hg_cuda_kernel k = { .kernel = kernel };
+    char name[128];
+    HG_TRY(find_module(d, kernel, &k.module));
+    snprintf(name, sizeof name, "%s_cuda", kernel->name);
+    hg_status status = hg_cuda_check(d->api, d->api->cuModuleGetFunction(&k.function, k.module->module, name), name);
+    if (status == HG_OK && kernel->shared > 48 << 10)
+        status = hg_cuda_check(d->api,
+                               d->api->cuFuncSetAttribute(k.function, CU_FUNC_ATTRIBUTE_MAX_DYNAMIC_SHARED_SIZE_BYTES,
+                                                          (int)kernel->shared),
+                               name);
+    if (status == HG_OK && 2 * (d->n_kernels + 1) > d->n_room) status = grow_table(d);
+    if (status != HG_OK) {
+        if (!k.module->carried && k.module->users == 0) unload(d, k.module);
+        return status;
+    }
+    *cell(d->kernels, d->n_room, kernel) = k;
+    d->n_kernels++;
+    k.module->users++;
+    *function = k.function;
+    return HG_OK;
+}
+
+hg_status hg_cuda_function(hg_cuda_device *d, const hg_kernel *kernel, CUfunction *function)
+{
+    if (d->n_room) {
+        const hg_cuda_kernel *k = cell(d->kernels, d->n_room, kernel);
+        *function = k->function;
+        if (k->kernel) return HG_OK;
+    }
+    return add_kernel(d, kernel, function);
+}
+
+/* The module of a text goes with the last of its kernels, and with it every graph, since one may hold a function of it. */
 void hg_cuda_forget(hg_device *device, const hg_kernel *kernel)
 {
     hg_cuda_device *d = (hg_cuda_device *)(void *)device;
-    for (hg_cuda_module *module = d->modules; module; module = module->next)
-        for (loaded **at = &module->functions; *at; at = &(*at)->next)
-            if ((*at)->kernel == kernel) {
-                loaded *gone = *at;
-                *at = gone->next;
-                hg_free(gone);
-                return;
-            }
+    const hg_cuda_kernel *k = d->n_room ? cell(d->kernels, d->n_room, kernel) : NULL;
+    if (!k || !k->kernel || hg_cuda_enter(d) != HG_OK) return;
+    hg_cuda_module *module = k->module;
+    hg_cuda_flush(d);
+    if (d->last == kernel->name) d->last = "a kernel that is gone";
+    take_out(d, kernel);
+    if (--module->users > 0 || module->carried) return;
+    d->api->cuStreamSynchronize(d->stream);
+    hg_cuda_graphs_forget(d);
+    unload(d, module);
 }
 
 void hg_cuda_modules_free(hg_cuda_device *d)
 {
-    while (d->modules) {
-        hg_cuda_module *module = d->modules;
-        d->modules = module->next;
-        while (module->functions) {
-            loaded *f = module->functions;
-            module->functions = f->next;
-            hg_free(f);
-        }
-        d->api->cuModuleUnload(module->module);
-        hg_free(module);
-    }
+    while (d->modules) unload(d, d->modules);
+    hg_free(d->kernels);
+    d->kernels = NULL;
+    d->n_kernels = d->n_room = 0;
 }

@@ -204,6 +204,7 @@ int cuMemAllocHost_v2(void **memory, size_t bytes) { return *memory = malloc(byt
 int cuMemFreeHost(void *memory) { return free(memory), 0; }
 int cuMemcpyHtoDAsync_v2(unsigned long long to, const void *from, size_t bytes, void *) { return memcpy((void *)(uintptr_t)to, from, bytes), 0; }
 int cuMemcpyDtoHAsync_v2(void *to, unsigned long long from, size_t bytes, void *) { return memcpy(to, (void *)(uintptr_t)from, bytes), 0; }
+int cuMemcpyDtoDAsync_v2(unsigned long long to, unsigned long long from, size_t bytes, void *) { return memcpy((void *)(uintptr_t)to, (void *)(uintptr_t)from, bytes), 0; }
 int cuStreamCreate(void **stream, unsigned) { return *stream = &scheduler, 0; }
 int cuStreamDestroy_v2(void *) { return 0; }
 int cuStreamSynchronize(void *) { return 0; }
@@ -211,6 +212,7 @@ int cuStreamBeginCapture_v2(void *, int) { return 801; }
 int cuStreamEndCapture(void *, void **) { return 801; }
 int cuEventCreate(void **event, unsigned) { return *event = &scheduler, 0; }
 int cuEventRecord(void *, void *) { return 0; }
+int cuEventQuery(void *) { return 0; }
 int cuEventSynchronize(void *) { return 0; }
 int cuEventDestroy_v2(void *) { return 0; }
 int cuGraphInstantiateWithFlags(void **, void *, unsigned long long) { return 801; }
