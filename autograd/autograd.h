@@ -99,6 +99,9 @@ struct hg_op {
      * with a path (may be NULL) what reproduces it in a format of its own. NULL: inputs and attributes are written for
      * hg_trap_replay; then attributes hold no pointers. */
     hg_status (*explain)(const hg_call *call, bool backward, const char *path, hg_text *text);
+    /* For HAIRGRAD_VALIDATE, of an op whose attributes belong to a device: the same call on a context of the processor, with `in`
+     * in place of call->in, recorded where those need gradients. NULL: the op is applied with the same attributes. */
+    hg_tensor *(*twin)(const hg_call *call, hg_ctx *host, hg_tensor *const *in);
 };
 #define HG_OP(name_, ...) \
     static const hg_op op_##name_ = { .name = #name_, __VA_ARGS__ }; \

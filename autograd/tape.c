@@ -19,6 +19,7 @@ typedef struct {
     int no_grad;
     bool all, trap;
     const char *trap_path;
+    hg_ctx *host;         /* where HAIRGRAD_VALIDATE runs everything again; NULL: not wanted */
     hg_node *leaves;      /* owned tensors, until they are destroyed */
     hg_node *step_leaves; /* leaves made in this step */
 } tape;
@@ -36,7 +37,10 @@ static void drop_records(hg_ctx *ctx)
 static void free_tape(hg_ctx *ctx)
 {
     tape *t = *hg_ctx_tape(ctx);
-    if (t) hg_free(t->records);
+    if (t) {
+        hg_free(t->records);
+        hg_ctx_destroy(t->host);
+    }
     hg_free(t);
     *hg_ctx_tape(ctx) = NULL;
 }
@@ -63,6 +67,11 @@ static tape *tape_of(hg_ctx *ctx)
     tape *t = hg_alloc(1, sizeof *t);
     if (!t) {
         hg_ctx_fail(ctx, HG_MEMORY, "out of memory: the tape");
+        return NULL;
+    }
+    if (hg_validate_wanted(ctx) && hg_ctx_create(&t->host, &(hg_ctx_options){ .device = "cpu" }) != HG_OK) {
+        hg_free(t);
+        hg_ctx_fail(ctx, HG_MEMORY, "%s", hg_message());
         return NULL;
     }
     *slot = t;
@@ -250,6 +259,7 @@ hg_tensor *hg_apply(hg_ctx *ctx, const hg_op *op, int n_in, hg_tensor *const *in
         return NULL;
     }
     if (t->trap && hg_trap_check(call, false, t->trap_path) != HG_OK) return NULL;
+    if (t->host && hg_validate_forward(t->host, call) != HG_OK) return NULL;
     if (!r->differentiable && !t->all) return call->out;
     for (int i = 0; i < n_in; i++) r->in_version[i] = version_of(call->in[i]);
     for (int i = 0; i < 4; i++) r->saved_version[i] = version_of(call->saved[i]);
@@ -366,11 +376,14 @@ static hg_status walk(tape *t, hg_tensor *out)
         for (int j = 0; j < r->call.n_in; j++)
             if (hg_needs_grad(r->call.in[j])) HG_TRY(make_gradient(r->call.in[j]));
         hg_call call = r->call; /* a backward cannot change what was recorded */
+        double *before[HG_OP_INPUTS];
+        if (t->host) HG_TRY(hg_validate_before(t->host, &call, before));
         const bool counted = hg_profiling(call.ctx);
         if (counted) hg_profile_begin(call.ctx, "backward", call.op->name);
         hg_status status = call.op->backward(&call);
         if (counted) hg_profile_end(call.ctx, bytes_of(&call, true));
         if (status == HG_OK && t->trap) HG_TRY(hg_trap_check(&call, true, t->trap_path));
+        if (status == HG_OK && t->host) status = hg_validate_backward(t->host, &call, before);
         if (status != HG_OK)
             return hg_ctx_fail(call.ctx, status, "backward of %s (recorded at %s:%d): %s", call.op->name,
                                call.file ? call.file : "?", call.line, hg_message());

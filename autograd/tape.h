@@ -45,6 +45,15 @@ hg_status hg_sum_middle(hg_ctx *ctx, hg_dtype dtype, int64_t outer, int64_t n, i
 /* Input i of a sample as a new step tensor of dtype (i32 stays i32), with its values. */
 hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype dtype);
 
+/* "[2,0,1]" */
+const char *hg_place_text(const hg_tensor *tensor, int64_t element, char text[96]);
+
+/* Held against the processor, see validate.c: `host` is a context there that nothing else uses. */
+bool hg_validate_wanted(const hg_ctx *ctx);
+hg_status hg_validate_forward(hg_ctx *host, const hg_call *call);
+hg_status hg_validate_before(hg_ctx *host, const hg_call *call, double **before); /* [inputs] */
+hg_status hg_validate_backward(hg_ctx *host, const hg_call *call, double *const *before);
+
 /* HG_NUMERIC when one of the tensors (the output, or the inputs' gradients after a backward) is not finite. */
 hg_status hg_trap_check(const hg_call *call, bool backward, const char *path);
 

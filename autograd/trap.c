@@ -51,7 +51,7 @@ static int64_t search(hg_ctx *ctx, const hg_tensor *tensor)
 static double unsigned_nan(double x) { return isnan(x) ? (double)NAN : x; }
 
 /* "[2,0,1]" */
-static const char *place_text(const hg_tensor *tensor, int64_t element, char text[96])
+const char *hg_place_text(const hg_tensor *tensor, int64_t element, char text[96])
 {
     int64_t index[HG_MAX_RANK];
     int at = snprintf(text, 96, "[");
@@ -121,12 +121,12 @@ static hg_status report(const hg_call *call, bool backward, const char *what, co
     hg_text text = { 0 };
     hg_text_add(&text, "%s (recorded at %s:%d): %s, %s, is %g at %s", call->op->name, call->file ? call->file : "?",
                 call->line, what, hg_shape_text(tensor, shape), unsigned_nan(hg_tensor_item(tensor, element)),
-                place_text(tensor, element, place));
+                hg_place_text(tensor, element, place));
     for (int i = 0; i < call->n_in; i++) {
         const int64_t bad = search(call->ctx, call->in[i]);
         if (bad < 0) continue;
         hg_text_add(&text, "; so was its input %d%s%s already, at %s", i, call->in[i]->name ? " " : "",
-                    call->in[i]->name ? call->in[i]->name : "", place_text(call->in[i], bad, from));
+                    call->in[i]->name ? call->in[i]->name : "", hg_place_text(call->in[i], bad, from));
         break;
     }
     reproduce(call, backward, path, &text);
@@ -233,7 +233,7 @@ static void say(hg_ctx *ctx, hg_text *text, const char *what, const hg_tensor *t
     }
     hg_text_add(text, "  %-20s %-16s largest %.4g", what, hg_shape_text(tensor, shape), largest);
     if (bad >= 0)
-        hg_text_add(text, ", %g at %s", unsigned_nan(hg_tensor_item(tensor, bad)), place_text(tensor, bad, place));
+        hg_text_add(text, ", %g at %s", unsigned_nan(hg_tensor_item(tensor, bad)), hg_place_text(tensor, bad, place));
     hg_text_add(text, "\n");
 }
 
