@@ -1,53 +1,13 @@
 /* softmax over the last axis; layer normalisation (Ba, Kiros and Hinton 2016) over the last axis; group normalisation
  * (Wu and He 2018) of [B,C,...]. Both normalisations are one kernel: rows of n elements, each of n / inner channels. */
-#include "autograd/floats.h"
+#include "autograd/norm.kernel.h"
 #include "autograd/tape.h"
 
 #include <string.h>
 
 enum { ROWS = 32, CHUNKS = 64 };
 
-typedef struct {
-    hg_dtype dtype;
-    int64_t rows, n, groups, inner, chunk;
-    double epsilon;
-    const void *x, *gain, *bias, *g;
-    void *y, *statistics, *dx, *dgain, *dbias;
-    bool fresh;
-} norm_args;
-
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/norm.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/norm.inc"
-#undef REAL
-#undef SUFFIX
-
-#define RANGE_KERNEL(NAME_)                                                                                            \
-    static void NAME_##_cpu(const void *memory, int64_t first, int64_t last)                                           \
-    {                                                                                                                  \
-        const norm_args *p = memory;                                                                                   \
-        (p->dtype == HG_F32 ? NAME_##_f32 : NAME_##_f64)(p, first, last);                                              \
-    }                                                                                                                  \
-    static const hg_kernel NAME_##_kernel = {                                                                          \
-        .name = #NAME_, .args_size = sizeof(norm_args), .cpu = NAME_##_cpu, .block = ROWS                              \
-    };
-RANGE_KERNEL(softmax_forward)
-RANGE_KERNEL(softmax_backward)
-RANGE_KERNEL(normalise_forward)
-
-static void normalise_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const norm_args *p = memory;
-    for (int64_t i = first; i < last; i++) (p->dtype == HG_F32 ? normalise_backward_f32 : normalise_backward_f64)(p, i);
-}
-static const hg_kernel normalise_backward_kernel = {
-    .name = "normalise_backward", .args_size = sizeof(norm_args), .cpu = normalise_backward_cpu, .block = 1
-};
+static int is_f64(const hg_call *call) { return call->out->dtype == HG_F64; }
 
 /* ---- softmax ---- */
 
@@ -60,7 +20,7 @@ static hg_tensor *softmax_shape(hg_call *call)
 static norm_args softmax_arguments(const hg_call *call)
 {
     const hg_tensor *x = call->in[0];
-    norm_args args = { .dtype = x->dtype, .rows = 1, .n = x->shape[x->rank - 1], .x = x->data, .y = call->out->data };
+    norm_args args = { .rows = 1, .n = x->shape[x->rank - 1], .x = x->data, .y = call->out->data };
     for (int i = 0; i + 1 < x->rank; i++) args.rows *= x->shape[i];
     return args;
 }
@@ -68,7 +28,7 @@ static norm_args softmax_arguments(const hg_call *call)
 static hg_status softmax_forward(hg_call *call)
 {
     norm_args args = softmax_arguments(call);
-    return hg_launch(call->ctx, &softmax_forward_kernel, args.rows, &args);
+    return hg_launch(call->ctx, softmax_forward_kernels[is_f64(call)], args.rows, &args);
 }
 
 static hg_status softmax_backward(hg_call *call)
@@ -76,7 +36,7 @@ static hg_status softmax_backward(hg_call *call)
     norm_args args = softmax_arguments(call);
     args.g = hg_grad(call->out)->data;
     args.dx = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &softmax_backward_kernel, args.rows, &args);
+    return hg_launch(call->ctx, softmax_backward_kernels[is_f64(call)], args.rows, &args);
 }
 
 static void softmax_reference(const hg_call *call, double *out)
@@ -118,7 +78,7 @@ typedef struct {
     int groups; /* 0: layer */
 } norm_attributes;
 
-static const hg_tensor *input_of(const hg_call *call, int i) { return call->n_in > i ? call->in[i] : NULL; }
+static hg_tensor *input_of(const hg_call *call, int i) { return call->n_in > i ? call->in[i] : NULL; }
 
 static hg_tensor *norm_shape(hg_call *call)
 {
@@ -140,8 +100,7 @@ static norm_args norm_arguments(const hg_call *call)
 {
     const norm_attributes *attributes = call->attributes;
     const hg_tensor *x = call->in[0], *gain = input_of(call, 1), *bias = input_of(call, 2);
-    norm_args args = { .dtype = x->dtype,
-                       .groups = 1,
+    norm_args args = { .groups = 1,
                        .inner = 1,
                        .epsilon = attributes->epsilon,
                        .x = x->data,
@@ -165,40 +124,80 @@ static hg_status norm_forward(hg_call *call)
 {
     norm_args args = norm_arguments(call);
     if (hg_tensor_count(call->out) == 0) return HG_OK;
-    call->saved[0] = hg_tensor_make(call->ctx, args.dtype, 2, (int64_t[]){ args.rows, 2 });
+    call->saved[0] = hg_tensor_make(call->ctx, call->out->dtype, 2, (int64_t[]){ args.rows, 2 });
     if (!call->saved[0]) return HG_MEMORY;
     args.statistics = call->saved[0]->data;
-    return hg_launch(call->ctx, &normalise_forward_kernel, args.rows, &args);
+    return hg_launch(call->ctx, normalise_forward_kernels[is_f64(call)], args.rows, &args);
+}
+
+/* gradient = or += the sum of `of` [B,C,inner] over all but the channels. */
+static hg_status sum_channels(hg_call *call, const norm_args *args, const void *of, hg_tensor *parameter)
+{
+    const hg_dtype dtype = call->out->dtype;
+    const int64_t channels = args->n / args->inner * args->groups, samples = args->rows / args->groups;
+    if (args->inner > 1) {
+        hg_tensor *sums = hg_tensor_make(call->ctx, dtype, 2, (int64_t[]){ samples, channels });
+        if (!sums) return HG_MEMORY;
+        HG_TRY(hg_sum_middle(call->ctx, dtype, samples * channels, args->inner, 1, 1, of, sums->data, true));
+        of = sums->data;
+    }
+    bool fresh;
+    void *gradient = hg_grad_data(parameter, &fresh);
+    return hg_sum_middle(call->ctx, dtype, 1, samples, channels, 1, of, gradient, fresh);
+}
+
+/* A GPU: a block of threads for a row, then sums over rows. */
+static hg_status norm_backward_by_rows(hg_call *call, norm_args *args)
+{
+    hg_tensor *gain = input_of(call, 1), *bias = input_of(call, 2);
+    if (hg_needs_grad(gain)) {
+        args->products = hg_step_device(call->ctx, hg_tensor_bytes(call->out));
+        if (!args->products) return HG_MEMORY;
+    }
+    if (hg_needs_grad(call->in[0])) args->dx = hg_grad_data(call->in[0], &args->fresh);
+    HG_TRY(hg_launch(call->ctx, normalise_gradient_kernels[is_f64(call)], args->rows, args));
+    if (hg_needs_grad(gain)) HG_TRY(sum_channels(call, args, args->products, gain));
+    return hg_needs_grad(bias) ? sum_channels(call, args, args->g, bias) : HG_OK;
+}
+
+/* The processor: chunks of rows, each with its own sums for gain and bias. */
+static hg_status norm_backward_by_chunks(hg_call *call, norm_args *args)
+{
+    hg_ctx *ctx = call->ctx;
+    const hg_dtype dtype = call->out->dtype;
+    args->chunk = (args->rows + CHUNKS - 1) / CHUNKS;
+    if (args->chunk < ROWS) args->chunk = ROWS;
+    const int64_t chunks = (args->rows + args->chunk - 1) / args->chunk,
+                  channels = args->n / args->inner * args->groups;
+    void **partials[3] = { NULL, &args->dgain, &args->dbias };
+    for (int i = 1; i < 3; i++) {
+        if (!hg_needs_grad(input_of(call, i))) continue;
+        hg_tensor *copies = hg_tensor_make(ctx, dtype, 2, (int64_t[]){ chunks, channels });
+        if (!copies) return HG_MEMORY;
+        *partials[i] = copies->data;
+    }
+    if (hg_needs_grad(call->in[0])) args->dx = hg_grad_data(call->in[0], &args->fresh);
+    HG_TRY(hg_launch(ctx, normalise_backward_kernels[is_f64(call)], chunks, args));
+    for (int i = 1; i < 3; i++) {
+        bool fresh;
+        if (!*partials[i]) continue;
+        void *gradient = hg_grad_data(call->in[i], &fresh);
+        HG_TRY(hg_add_partials(ctx, dtype, chunks, channels, *partials[i], gradient, fresh));
+    }
+    return HG_OK;
 }
 
 static hg_status norm_backward(hg_call *call)
 {
     norm_args args = norm_arguments(call);
-    hg_ctx *ctx = call->ctx;
     if (hg_tensor_count(call->out) == 0) return HG_OK;
     args.g = hg_grad(call->out)->data;
     args.statistics = call->saved[0]->data;
-    args.chunk = (args.rows + CHUNKS - 1) / CHUNKS;
-    if (args.chunk < ROWS) args.chunk = ROWS;
-    int64_t chunks = (args.rows + args.chunk - 1) / args.chunk, channels = args.n / args.inner * args.groups;
-    void **partials[3] = { NULL, &args.dgain, &args.dbias };
-    hg_step_mark mark = hg_step_set_mark(ctx);
-    for (int i = 1; i < 3; i++) {
-        if (!hg_needs_grad(input_of(call, i))) continue;
-        hg_tensor *copies = hg_tensor_make(ctx, args.dtype, 2, (int64_t[]){ chunks, channels });
-        if (!copies) return HG_MEMORY;
-        *partials[i] = copies->data;
-    }
-    if (hg_needs_grad(call->in[0])) args.dx = hg_grad_data(call->in[0], &args.fresh);
-    HG_TRY(hg_launch(ctx, &normalise_backward_kernel, chunks, &args));
-    for (int i = 1; i < 3; i++) {
-        bool fresh;
-        if (!*partials[i]) continue;
-        void *gradient = hg_grad_data(call->in[i], &fresh);
-        HG_TRY(hg_add_partials(ctx, args.dtype, chunks, channels, *partials[i], gradient, fresh));
-    }
-    hg_step_rewind(ctx, mark);
-    return HG_OK;
+    const bool chunks = hg_launches(call->ctx, normalise_backward_kernels[is_f64(call)]);
+    const hg_step_mark mark = hg_step_set_mark(call->ctx);
+    const hg_status status = (chunks ? norm_backward_by_chunks : norm_backward_by_rows)(call, &args);
+    hg_step_rewind(call->ctx, mark);
+    return status;
 }
 
 static void norm_reference(const hg_call *call, double *out)

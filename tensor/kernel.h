@@ -19,6 +19,9 @@
  *     #endif
  *     HG_KERNEL_BLOCK(total, total_args, 1, 256)    256 threads; `total` is the processor's body
  *
+ * HG_KERNEL_GPU is the same without a body for the processor, HG_KERNEL_CPU is a kernel without one for a GPU, where the two
+ * go different ways (hg_launches says what runs).
+ *
  * Both precisions: the bodies stand in a file NAME.inc over REAL and F(name), included twice by NAME.kernel.h, and HG_KERNELS in
  * NAME.kernel.h (not in the .inc) makes name_kernels[2]. A kernel whose file is not NAME.kernel.h cannot be found by its text.
  *
@@ -55,6 +58,9 @@
     }                                                                                                                  \
     HG_KERNEL_EXPORT(name_##_cuda)
 
+#define HG_KERNEL_GPU(name_, args_, threads_) HG_KERNEL_BLOCK(name_, args_, 1, threads_)
+#define HG_KERNEL_CPU(name_, args_, block_)
+
 #define HG_KERNEL_PAIR_(name_)
 
 enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
@@ -76,22 +82,32 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
 #ifndef HG_KERNEL_SOURCE /* a file that the library carries, or a text (HG_KERNEL_TEXT) */
 #define HG_KERNEL_SOURCE __FILE__
 #endif
-#define HG_KERNEL_OF_(name_, args_, block_, threads_, indices_)                                                        \
+#define HG_KERNEL_OF_(name_, args_, cuda_, block_, threads_, indices_)                                                 \
     static inline void name_##_cpu(const void *memory, int64_t first, int64_t last)                                    \
     {                                                                                                                  \
         name_((const args_ *)memory, first, last);                                                                     \
     }                                                                                                                  \
     static inline void name_##_clear(void *memory) { HG_CLEAR_PADDING((args_ *)memory); }                              \
     static const hg_kernel name_##_kernel = { .name = #name_,                                                          \
-                                              .cuda = HG_KERNEL_SOURCE,                                                \
+                                              .cuda = cuda_,                                                           \
                                               .args_size = sizeof(args_),                                              \
                                               .cpu = name_##_cpu,                                                      \
                                               .block = block_,                                                         \
                                               .threads = threads_,                                                     \
                                               .indices = indices_,                                                     \
                                               .clear = name_##_clear };
-#define HG_KERNEL(name_, args_, block_)                 HG_KERNEL_OF_(name_, args_, block_, 0, 0)
-#define HG_KERNEL_BLOCK(name_, args_, block_, threads_) HG_KERNEL_OF_(name_, args_, block_, threads_, 1)
+#define HG_KERNEL(name_, args_, block_) HG_KERNEL_OF_(name_, args_, HG_KERNEL_SOURCE, block_, 0, 0)
+#define HG_KERNEL_BLOCK(name_, args_, block_, threads_)                                                                \
+    HG_KERNEL_OF_(name_, args_, HG_KERNEL_SOURCE, block_, threads_, 1)
+#define HG_KERNEL_CPU(name_, args_, block_) HG_KERNEL_OF_(name_, args_, NULL, block_, 0, 0)
+#define HG_KERNEL_GPU(name_, args_, threads_)                                                                          \
+    static inline void name_##_clear(void *memory) { HG_CLEAR_PADDING((args_ *)memory); }                              \
+    static const hg_kernel name_##_kernel = { .name = #name_,                                                          \
+                                              .cuda = HG_KERNEL_SOURCE,                                                \
+                                              .args_size = sizeof(args_),                                              \
+                                              .threads = threads_,                                                     \
+                                              .indices = 1,                                                            \
+                                              .clear = name_##_clear };
 #define HG_KERNEL_PAIR_(name_)                                                                                         \
     static const hg_kernel *const name_##_kernels[2] = { &name_##_f32_kernel, &name_##_f64_kernel };
 
@@ -106,6 +122,10 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
 /* Bodies name_f32 and name_f64 of the same args: name_kernels[dtype == HG_F64]. */
 #define HG_KERNELS(name_, args_, block_)                                                                               \
     HG_KERNEL(name_##_f32, args_, block_) HG_KERNEL(name_##_f64, args_, block_) HG_KERNEL_PAIR_(name_)
+#define HG_KERNELS_CPU(name_, args_, block_)                                                                           \
+    HG_KERNEL_CPU(name_##_f32, args_, block_) HG_KERNEL_CPU(name_##_f64, args_, block_) HG_KERNEL_PAIR_(name_)
+#define HG_KERNELS_GPU(name_, args_, threads_)                                                                         \
+    HG_KERNEL_GPU(name_##_f32, args_, threads_) HG_KERNEL_GPU(name_##_f64, args_, threads_) HG_KERNEL_PAIR_(name_)
 #define HG_KERNELS_BLOCK(name_, args_, block_, threads_)                                                               \
     HG_KERNEL_BLOCK(name_##_f32, args_, block_, threads_)                                                              \
     HG_KERNEL_BLOCK(name_##_f64, args_, block_, threads_) HG_KERNEL_PAIR_(name_)
