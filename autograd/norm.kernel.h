@@ -1,5 +1,5 @@
 /* Kernels of softmax and of layer and group normalisation. */
-#include "tensor/block.kernel.h"
+#include "tensor/block.h"
 
 #include "autograd/floats.h"
 

@@ -1,5 +1,5 @@
 /* Kernels of sums over the middle axis of [outer, n, inner], and of their gradient. */
-#include "tensor/block.kernel.h"
+#include "tensor/block.h"
 
 #include "autograd/floats.h"
 

@@ -1,6 +1,6 @@
 /* What the threads of a GPU's block do together. */
-#ifndef HG_TENSOR_BLOCK_KERNEL_H
-#define HG_TENSOR_BLOCK_KERNEL_H
+#ifndef HG_TENSOR_BLOCK_H
+#define HG_TENSOR_BLOCK_H
 
 #include "tensor/kernel.h"
 
