@@ -2,6 +2,7 @@
 #include "cli/cli.h"
 
 #include <cjson/cJSON.h>
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -13,18 +14,24 @@ typedef struct {
     const hg_profile_row *rows;
     char *backend;
     int threads, steps;
+    bool device;                     /* not the processor */
+    hg_device_counts before, counts; /* of the steps that are counted */
 } profile;
 
 typedef struct {
     hg_ctx *ctx;
     int left, steps;
+    hg_device_counts *before;
 } countdown;
 
 /* Asked before every step: starts to count once the first ones are over. */
 static bool count_or_stop(void *self)
 {
     countdown *c = self;
-    if (c->left-- == 0) hg_profile_start(c->ctx, c->steps);
+    if (c->left-- == 0) {
+        *c->before = hg_ctx_counts(c->ctx);
+        hg_profile_start(c->ctx, c->steps);
+    }
     return cli_interrupted(NULL);
 }
 
@@ -50,7 +57,7 @@ static hg_status run_steps(hg_ctx *ctx, const char *recipe, const hg_arguments *
     hg_train_options options = hg_hair_train_options(task);
     hg_task steps_only = *hg_hair_task_of(task);
     steps_only.validate = NULL;
-    countdown until = { ctx, warm, p->steps };
+    countdown until = { ctx, warm, p->steps, &p->before };
     options.steps = warm + p->steps;
     options.folder = NULL;
     options.log_every = options.validate_every = options.checkpoint_every = 0;
@@ -60,9 +67,20 @@ static hg_status run_steps(hg_ctx *ctx, const char *recipe, const hg_arguments *
     hg_train_result result;
     cli_catch_signals();
     status = hg_train(ctx, hg_hair_model(task), &steps_only, &options, NULL, &result);
+    p->counts = hg_ctx_counts(ctx);
     if (status == HG_OK) p->n = hg_profile_read(ctx, &p->step, &p->rows);
     hg_hair_task_destroy(task);
     return status;
+}
+
+/* One launch for every call that does anything: what is nested inside has its own. */
+static void count_launches(const profile *p, double *launches, double *least)
+{
+    *launches = *least = 0;
+    for (int i = 0; i < p->n; i++) {
+        *launches += p->rows[i].launches;
+        if (p->rows[i].launches > 0) *least += fmin(p->rows[i].calls, p->rows[i].launches);
+    }
 }
 
 static void print_table(const profile *p)
@@ -71,15 +89,26 @@ static void print_table(const profile *p)
            p->backend);
     printf("copying is %.1f GB/s on this machine now, multiply-add %.0f GFLOP/s\n\n", 1e-9 * p->bytes,
            1e-9 * p->operations);
-    printf("%-11s %-44s %6s %9s %6s %9s %8s %7s\n", "group", "what", "calls", "own ms", "share", "total ms", "MB",
-           "of copy");
+    printf("%-11s %-44s %6s %9s %6s %9s %8s %7s%s\n", "group", "what", "calls", "own ms", "share", "total ms", "MB",
+           "of copy", p->device ? "  launches" : "");
     for (int i = 0; i < p->n; i++) {
         const hg_profile_row *r = &p->rows[i];
         char name[45], rate[16] = "";
         snprintf(name, sizeof name, "%s", r->name);
         if (r->bytes > 0 && r->total > 0) snprintf(rate, sizeof rate, "%.0f %%", 100 * r->bytes / r->total / p->bytes);
-        printf("%-11s %-44s %6.4g %9.3f %4.0f %% %9.3f %8.2f %7s\n", r->group, name, r->calls, 1e3 * r->own,
+        printf("%-11s %-44s %6.4g %9.3f %4.0f %% %9.3f %8.2f %7s", r->group, name, r->calls, 1e3 * r->own,
                100 * r->own / p->step, 1e3 * r->total, 1e-6 * r->bytes, rate);
+        if (p->device) printf("  %8.4g", r->launches);
+        printf("\n");
+    }
+    if (p->device) {
+        double launches, least;
+        count_launches(p, &launches, &least);
+        printf(
+            "\n%.4g launches a step (one for each call would be %.4g), %.3f MB to the device and %.3f MB back a step, "
+            "counted call\nby call; a training replays a step as one graph, without waiting in between.\n",
+            launches, least, 1e-6 * (double)(p->counts.uploaded - p->before.uploaded) / p->steps,
+            1e-6 * (double)(p->counts.downloaded - p->before.downloaded) / p->steps);
     }
     printf(
         "\nown: without what is listed inside it; MB: what it reads and writes if everything is touched once; of copy: "
@@ -95,6 +124,15 @@ static hg_status write_json(const profile *p, const char *path)
     cJSON_AddStringToObject(all, "backend", p->backend ? p->backend : "");
     cJSON_AddNumberToObject(all, "copy_bytes_per_second", p->bytes);
     cJSON_AddNumberToObject(all, "operations_per_second", p->operations);
+    if (p->device) {
+        double launches, least;
+        count_launches(p, &launches, &least);
+        cJSON_AddNumberToObject(all, "launches", launches);
+        cJSON_AddNumberToObject(all, "least_launches", least);
+        cJSON_AddNumberToObject(all, "uploaded_bytes", (double)(p->counts.uploaded - p->before.uploaded) / p->steps);
+        cJSON_AddNumberToObject(all, "downloaded_bytes",
+                                (double)(p->counts.downloaded - p->before.downloaded) / p->steps);
+    }
     for (int i = 0; i < p->n; i++) {
         const hg_profile_row *r = &p->rows[i];
         cJSON *row = cJSON_CreateObject();
@@ -104,6 +142,7 @@ static hg_status write_json(const profile *p, const char *path)
         cJSON_AddNumberToObject(row, "own_seconds", r->own);
         cJSON_AddNumberToObject(row, "total_seconds", r->total);
         cJSON_AddNumberToObject(row, "bytes", r->bytes);
+        if (p->device) cJSON_AddNumberToObject(row, "launches", r->launches);
         cJSON_AddNumberToObject(row, "share", p->step > 0 ? r->own / p->step : 0);
         cJSON_AddItemToArray(rows, row);
     }
@@ -126,7 +165,7 @@ static int profile_command(const hg_arguments *arguments)
         return cli_fail();
     }
     if (!cli_context(&ctx, arguments)) return cli_fail();
-    profile p = { .steps = (int)steps, .threads = hg_ctx_threads(ctx) };
+    profile p = { .steps = (int)steps, .threads = hg_ctx_threads(ctx), .device = !hg_ctx_host(ctx) };
     hg_status status = run_steps(ctx, arguments->free[0], arguments, &p);
     cli_progress_end();
     if (status == HG_OK && p.n == 0) status = hg_fail(HG_INVALID, "profile: interrupted before a step was counted");

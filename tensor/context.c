@@ -230,7 +230,7 @@ hg_status hg_ctx_wait(hg_ctx *ctx) { return told(ctx, ctx->device->wait(ctx->dev
 
 hg_status hg_step_record(hg_ctx *ctx)
 {
-    return ctx->device->record ? told(ctx, ctx->device->record(ctx->device)) : HG_OK;
+    return ctx->device->record && !ctx->profile ? told(ctx, ctx->device->record(ctx->device)) : HG_OK;
 }
 
 hg_status hg_step_run(hg_ctx *ctx) { return ctx->device->run ? told(ctx, ctx->device->run(ctx->device)) : HG_OK; }

@@ -13,7 +13,7 @@ typedef struct {
     const char *group;
     char name[NAME]; /* its own: that of a physics is gone when the table is read */
     double own, total, bytes;
-    int64_t calls;
+    int64_t calls, launches;
 } row;
 
 struct hg_profile {
@@ -21,6 +21,7 @@ struct hg_profile {
     struct {
         int row;
         double start, inside;
+        int64_t launches, launches_inside;
     } open[DEPTH];
     row rows[ROWS];
     hg_profile_row result[ROWS];
@@ -29,8 +30,10 @@ struct hg_profile {
     double *sorted;           /* [steps] */
 };
 
-static double now(void)
+/* A device is waited for at both ends of a scope, so that its time is its own. */
+static double now(hg_ctx *ctx)
 {
+    if (!ctx->device->host) ctx->device->wait(ctx->device); /* an error of a launch is told by what reads its result */
     struct timespec t;
     clock_gettime(CLOCK_MONOTONIC, &t);
     return (double)t.tv_sec + 1e-9 * (double)t.tv_nsec;
@@ -52,7 +55,7 @@ hg_status hg_profile_start(hg_ctx *ctx, int steps)
         hg_profile_stop(ctx);
         return HG_MEMORY;
     }
-    p->started = now();
+    p->started = now(ctx);
     return HG_OK;
 }
 
@@ -89,7 +92,9 @@ void hg_profile_begin(hg_ctx *ctx, const char *group, const char *name)
     if (p->depth < DEPTH) {
         p->open[p->depth].row = find(p, group, name);
         p->open[p->depth].inside = 0;
-        p->open[p->depth].start = now();
+        p->open[p->depth].launches_inside = 0;
+        p->open[p->depth].start = now(ctx);
+        p->open[p->depth].launches = ctx->device->counts.launches;
     }
     p->depth++;
 }
@@ -100,19 +105,23 @@ void hg_profile_end(hg_ctx *ctx, int64_t bytes)
     if (!p || p->depth == 0) return;
     if (--p->depth >= DEPTH) return;
     row *r = &p->rows[p->open[p->depth].row];
-    const double passed = now() - p->open[p->depth].start;
+    const double passed = now(ctx) - p->open[p->depth].start;
+    const int64_t launched = ctx->device->counts.launches - p->open[p->depth].launches;
     r->total += passed;
+    r->launches += launched - p->open[p->depth].launches_inside;
     r->own += passed - p->open[p->depth].inside;
     r->bytes += (double)bytes;
     r->calls++;
-    if (p->depth > 0) p->open[p->depth - 1].inside += passed;
+    if (p->depth == 0) return;
+    p->open[p->depth - 1].inside += passed;
+    p->open[p->depth - 1].launches_inside += launched;
 }
 
 void hg_profile_step(hg_ctx *ctx)
 {
     hg_profile *p = ctx->profile;
     if (!p) return;
-    const double time = now();
+    const double time = now(ctx);
     if (p->step < p->steps) {
         p->seconds[p->step] = time - p->started;
         for (int i = 0; i < p->n_rows; i++) {
@@ -120,12 +129,16 @@ void hg_profile_step(hg_ctx *ctx)
             p->total[(size_t)i * (size_t)p->steps + (size_t)p->step] = p->rows[i].total;
             p->result[i].calls += p->rows[i].calls;
             p->result[i].bytes += p->rows[i].bytes;
+            p->result[i].launches += (double)p->rows[i].launches;
         }
         p->step++;
     }
-    for (int i = 0; i < p->n_rows; i++) p->rows[i].own = p->rows[i].total = p->rows[i].bytes = 0, p->rows[i].calls = 0;
+    for (int i = 0; i < p->n_rows; i++) {
+        p->rows[i].own = p->rows[i].total = p->rows[i].bytes = 0;
+        p->rows[i].calls = p->rows[i].launches = 0;
+    }
     p->depth = 0; /* scopes that an error left open */
-    p->started = now();
+    p->started = now(ctx);
 }
 
 static int compare(const void *a, const void *b)
@@ -160,6 +173,7 @@ int hg_profile_read(hg_ctx *ctx, double *step_seconds, const hg_profile_row **ro
         r->name = p->rows[i].name;
         r->calls /= (double)p->step;
         r->bytes /= (double)p->step;
+        r->launches /= (double)p->step;
         r->own = median(p, p->own + (size_t)i * (size_t)p->steps);
         r->total = median(p, p->total + (size_t)i * (size_t)p->steps);
     }

@@ -169,12 +169,13 @@ int  hg_worker(void);                                            /* inside a ker
 
 /* Scopes with a group ("forward") and a name ("linear"), inside each other; nothing is counted unless it was started. Ops,
  * passes of the physics, body, neighbours, sampling and optimiser have one. Begin and end on the calling thread, outside of
- * kernels; both strings are kept by pointer.
+ * kernels; both strings are kept by pointer. While a profile is taken a step is not recorded (hg_step_record), and a device is
+ * waited for at both ends of a scope.
  *
  *     hg_profile_start(ctx, 20);
  *     for (int step = 0; step < 20; step++) { ... hg_profile_step(ctx); }
  *     n = hg_profile_read(ctx, &seconds, &rows);                                                                         */
-typedef struct { const char *group, *name; double calls, bytes; /* of a step */ double own, total; /* seconds, medians of the steps; own: without the scopes inside */ } hg_profile_row;
+typedef struct { const char *group, *name; double calls, bytes, launches; /* of a step; launches: of a device, without the scopes inside */ double own, total; /* seconds, medians of the steps; own: without the scopes inside */ } hg_profile_row;
 typedef struct hg_profile hg_profile;
 hg_status hg_profile_start(hg_ctx *ctx, int steps);              /* room for so many steps, later ones are not kept */
 void      hg_profile_stop(hg_ctx *ctx);                          /* frees what was counted */
