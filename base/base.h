@@ -66,7 +66,7 @@ uint64_t hg_hash(const void *bytes, size_t size, uint64_t seed); /* FNV-1a, 64 b
 
 /* ---- numbers ------------------------------------------------------------------------------------------------ */
 
-typedef enum { HG_F32, HG_F64, HG_I32, HG_BF16 } hg_dtype;
+typedef enum { HG_F32, HG_F64, HG_I32, HG_BF16, HG_TF32 /* how factors are rounded (hg_ctx_compute), not of tensors */ } hg_dtype;
 size_t      hg_dtype_size(hg_dtype dtype);
 const char *hg_dtype_name(hg_dtype dtype);
 

@@ -84,6 +84,8 @@ size_t hg_dtype_size(hg_dtype dtype)
         return 4;
     case HG_BF16:
         return 2;
+    case HG_TF32:
+        return 0; /* nothing is stored in it */
     }
     return 0;
 }
@@ -99,6 +101,8 @@ const char *hg_dtype_name(hg_dtype dtype)
         return "i32";
     case HG_BF16:
         return "bf16";
+    case HG_TF32:
+        return "tf32";
     }
     return "unknown";
 }

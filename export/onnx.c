@@ -189,6 +189,8 @@ static int element_type(hg_dtype dtype)
         return ONNX__TENSOR_PROTO__DATA_TYPE__INT32;
     case HG_BF16:
         return ONNX__TENSOR_PROTO__DATA_TYPE__BFLOAT16;
+    case HG_TF32:
+        break;
     }
     return ONNX__TENSOR_PROTO__DATA_TYPE__UNDEFINED;
 }

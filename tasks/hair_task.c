@@ -451,13 +451,14 @@ static hg_status name_terms(hg_hair_task *task)
     return HG_OK;
 }
 
-/* bf16 where the config asks for it: an error where the processor has none, since its numbers are other ones. */
+/* bf16 or TF32 where the config asks for it: an error where the device has none, since its numbers are other ones. */
 static hg_status take_compute(hg_hair_task *task)
 {
     task->compute = HG_F32;
-    if (task->opened || strcmp(hg_config_text(task->config, "training.compute"), "bf16")) return HG_OK;
-    task->compute = HG_BF16;
-    const hg_status status = hg_ctx_compute(task->ctx, HG_BF16);
+    const char *name = hg_config_text(task->config, "training.compute");
+    if (task->opened || strcmp(name, "f32") == 0) return HG_OK;
+    task->compute = strcmp(name, "bf16") == 0 ? HG_BF16 : HG_TF32;
+    const hg_status status = hg_ctx_compute(task->ctx, task->compute);
     if (status != HG_OK) {
         char *why = hg_strdup(hg_message());
         hg_fail(status, "%s:%d: training.compute: %s", hg_config_name(task->config),
@@ -544,7 +545,9 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .start = start };
     HG_TRY(first_call(task));
     task->backend = hg_format("%s%s", hg_physics_backend_name(task->subset.physics),
-                              task->compute == HG_BF16 ? ", products in bf16" : ""); /* outlives a subset drawn anew */
+                              task->compute == HG_BF16   ? ", products in bf16"
+                              : task->compute == HG_TF32 ? ", products in tf32"
+                                                         : ""); /* outlives a subset drawn anew */
     task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
     if (!task->backend || !task->backend_note) return HG_MEMORY;
     task->options = train_options(task);

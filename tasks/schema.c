@@ -104,8 +104,10 @@ static const hg_config_row rows[] = {
     { "training.validation_frames", HG_INTEGER, "16", NULL, NULL, 1, 10000, "held-out frames of a validation" },
     { "training.checkpoint_every", HG_INTEGER, "500", NULL, NULL, 0, 1000000, "steps; 0: only at the end" },
     { "training.seed", HG_INTEGER, "1", NULL, NULL, 0, 1000000000, "of weights, strands and frames" },
-    { "training.compute", HG_CHOICE, "f32", NULL, "f32|bf16", 0, 0,
-      "in what the factors of the network's products are rounded while it trains; sums and weights are f32" },
+    { "training.compute", HG_CHOICE, "f32", NULL, "f32|tf32|bf16", 0, 0,
+      "in what the factors of the network's products are rounded while it trains (tf32: on cuda alone); sums and "
+      "weights are "
+      "f32" },
     { "training.backend", HG_CHOICE, "auto", NULL, "auto|interpreter|compiled", 0, 0, "what runs the energies" },
 };
 

@@ -55,7 +55,6 @@ void hg_ctx_destroy(hg_ctx *ctx)
     hg_ctx_destroy(ctx->beside);
     hg_arena_free(&ctx->host);
     hg_arena_free(&ctx->data);
-    if (ctx->workspace) ctx->device->free(ctx->device, ctx->workspace);
     if (ctx->device->close) ctx->device->close(ctx->device);
     hg_free(ctx);
 }
@@ -79,8 +78,8 @@ void **hg_ctx_tape(hg_ctx *ctx) { return &ctx->tape; }
 
 hg_status hg_ctx_compute(hg_ctx *ctx, hg_dtype dtype)
 {
-    if (dtype != HG_F32 && dtype != HG_BF16)
-        return hg_fail(HG_INVALID, "compute in %s: f32 and bf16 are possible", hg_dtype_name(dtype));
+    if (dtype != HG_F32 && dtype != HG_BF16 && dtype != HG_TF32)
+        return hg_fail(HG_INVALID, "compute in %s: f32, tf32 and bf16 are possible", hg_dtype_name(dtype));
     HG_TRY(ctx->device->compute(ctx->device, dtype));
     ctx->compute = dtype;
     return HG_OK;
@@ -177,7 +176,7 @@ void hg_step_reset(hg_ctx *ctx)
 
 size_t hg_step_bytes(const hg_ctx *ctx) { return ctx->host.bytes + ctx->data.bytes; }
 size_t hg_step_high_water(const hg_ctx *ctx) { return ctx->host.high_water + ctx->data.high_water; }
-size_t hg_step_reserved(const hg_ctx *ctx) { return ctx->host.reserved + ctx->data.reserved + ctx->workspace_bytes; }
+size_t hg_step_reserved(const hg_ctx *ctx) { return ctx->host.reserved + ctx->data.reserved; }
 
 hg_step_mark hg_step_set_mark(const hg_ctx *ctx)
 {
@@ -259,14 +258,12 @@ hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpo
                            (long long)m, (long long)n, (long long)k, (long long)lda, (long long)ldb, (long long)ldc);
     if (m == 0 || n == 0) return HG_OK;
     size_t bytes = ctx->device->product_workspace(ctx->device, dtype, transpose_a, m, n, k);
-    if (bytes > ctx->workspace_bytes) {
-        void *workspace = ctx->device->alloc(ctx->device, bytes);
-        if (!workspace) return hg_ctx_fail(ctx, HG_MEMORY, "product: out of memory: %zu bytes", bytes);
-        if (ctx->workspace) ctx->device->free(ctx->device, ctx->workspace);
-        ctx->workspace = workspace;
-        ctx->workspace_bytes = bytes;
-    }
+    /* Of the step, so that it lies at the same place in the next one. */
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    void *workspace = bytes ? hg_step_device(ctx, bytes) : NULL;
+    if (bytes && !workspace) return HG_MEMORY;
     hg_status status = ctx->device->product(ctx->device, ctx->threads, dtype, transpose_a, transpose_b, m, n, k, alpha,
-                                            a, lda, b, ldb, beta, c, ldc, ctx->workspace);
+                                            a, lda, b, ldb, beta, c, ldc, workspace);
+    hg_step_rewind(ctx, mark);
     return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
 }

@@ -14,8 +14,6 @@ struct hg_ctx {
     /* Two arenas: descriptors and host scratch are always host memory, tensor data is the device's. */
     hg_arena host, data;
     bool guard;
-    void *workspace; /* for products, device memory, grows */
-    size_t workspace_bytes;
     void *tape;
     hg_ctx *beside; /* hg_ctx_on_host, of a device that is not the host; NULL: not made yet */
     hg_profile *profile; /* NULL: nothing is counted */

@@ -63,7 +63,7 @@
 
 #define HG_KERNEL_PAIR_(name_)
 
-enum { HG_F32, HG_F64, HG_I32, HG_BF16 }; /* as base.h has them */
+enum { HG_F32, HG_F64, HG_I32, HG_BF16, HG_TF32 }; /* as base.h has them */
 
 #else
 

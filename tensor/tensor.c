@@ -221,6 +221,8 @@ double hg_tensor_item(const hg_tensor *tensor, int64_t i)
         value = (double)hg_f32_from_bf16(x);
         break;
     }
+    case HG_TF32:
+        break;
     }
     return value;
 }

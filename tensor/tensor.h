@@ -67,8 +67,9 @@ bool        hg_ctx_host(const hg_ctx *ctx);                      /* may `data` b
  * the first call and goes with it. NULL sets the error. */
 hg_ctx     *hg_ctx_on_host(hg_ctx *ctx);
 /* In what the factors of a layer's products (hg_linear of more than 256 rows, forward and both gradients) are rounded:
- * HG_F32 (default) or HG_BF16, summed in f32 either way; tensors, weights and everything else stay f32. HG_UNSUPPORTED where
- * the processor has no bf16 instructions: then it stays HG_F32. */
+ * HG_F32 (default), HG_BF16 or HG_TF32, summed in f32 in any case; tensors, weights and everything else stay f32. On cuda it
+ * holds for every f32 hg_product and convolution. HG_UNSUPPORTED where the processor has no bf16 instructions, and for HG_TF32
+ * on the cpu: then it stays as it was. */
 hg_status   hg_ctx_compute(hg_ctx *ctx, hg_dtype dtype);
 hg_dtype    hg_ctx_compute_dtype(const hg_ctx *ctx);
 void      **hg_ctx_tape(hg_ctx *ctx);                            /* autograd's slot */

@@ -1,4 +1,4 @@
-/* tensor/: arena, errors, tensors, conversions, kernels, products. */
+/* tensor/: arena, errors, tensors, conversions, kernels. */
 #include "test.h"
 
 #include "tensor/tensor.h"
@@ -233,103 +233,6 @@ static void test_launch_covers_blocks(void **state)
     }
 }
 
-/* ---- products ---- */
-
-static double element(const void *data, hg_dtype dtype, int64_t i)
-{
-    return dtype == HG_F32 ? (double)((const float *)data)[i] : ((const double *)data)[i];
-}
-
-static void set_random(void *data, hg_dtype dtype, int64_t n, uint64_t stream)
-{
-    for (int64_t i = 0; i < n; i++) {
-        double x = 2 * hg_random_uniform(1, stream, (uint64_t)i) - 1;
-        if (dtype == HG_F32)
-            ((float *)data)[i] = (float)x;
-        else
-            ((double *)data)[i] = x;
-    }
-}
-
-/* Rows are longer than they have to be, and what lies behind them must not change. */
-static void check_product(hg_dtype dtype, bool ta, bool tb, int64_t m, int64_t n, int64_t k, double alpha, double beta)
-{
-    size_t size = hg_dtype_size(dtype);
-    int64_t lda = (ta ? m : k) + 3, ldb = (tb ? k : n) + 1, ldc = n + 2;
-    int64_t count_a = (ta ? k : m) * lda + 1, count_b = (tb ? n : k) * ldb + 1, count_c = m * ldc + 1;
-    void *a = hg_alloc((size_t)count_a, size), *b = hg_alloc((size_t)count_b, size),
-         *start = hg_alloc((size_t)count_c, size);
-    void *c[2] = { hg_alloc((size_t)count_c, size), hg_alloc((size_t)count_c, size) };
-    set_random(a, dtype, count_a, 1);
-    set_random(b, dtype, count_b, 2);
-    set_random(start, dtype, count_c, 3);
-    if (beta == 0) /* C is not read then */
-        for (int64_t i = 0; i < count_c; i++)
-            if (i % ldc < n && i < m * ldc) {
-                if (dtype == HG_F32)
-                    ((float *)start)[i] = NAN;
-                else
-                    ((double *)start)[i] = (double)NAN;
-            }
-    for (int threads = 1; threads <= 2; threads++) {
-        hg_ctx *ctx = make_ctx(threads);
-        memcpy(c[threads - 1], start, (size_t)count_c * size);
-        assert_int_equal(hg_product(ctx, dtype, ta, tb, m, n, k, alpha, a, lda, b, ldb, beta, c[threads - 1], ldc),
-                         HG_OK);
-        hg_ctx_destroy(ctx);
-    }
-    assert_memory_equal(c[0], c[1], (size_t)count_c * size);
-    double tolerance = dtype == HG_F32 ? 1e-6 * (double)(k + 4) : 1e-14 * (double)(k + 4);
-    for (int64_t i = 0; i < count_c; i++) {
-        int64_t row = i / ldc, column = i % ldc;
-        double x = element(c[0], dtype, i);
-        if (row >= m || column >= n) {
-            assert_true(x == element(start, dtype, i));
-            continue;
-        }
-        double sum = 0;
-        for (int64_t p = 0; p < k; p++)
-            sum += element(a, dtype, ta ? p * lda + row : row * lda + p) *
-                   element(b, dtype, tb ? column * ldb + p : p * ldb + column);
-        sum = alpha * sum + (beta == 0 ? 0 : beta * element(start, dtype, i));
-        if (!(fabs(x - sum) <= tolerance))
-            fail_msg("%s product%s%s %lld x %lld x %lld: element %lld,%lld is %g, expected %g", hg_dtype_name(dtype),
-                     ta ? " A^T" : "", tb ? " B^T" : "", (long long)m, (long long)n, (long long)k, (long long)row,
-                     (long long)column, x, sum);
-    }
-    void *all[] = { a, b, start, c[0], c[1] };
-    for (int i = 0; i < 5; i++) hg_free(all[i]);
-}
-
-static void test_products(void **state)
-{
-    (void)state;
-    const int64_t sizes[][3] = { { 1, 1, 1 },     { 3, 5, 7 },     { 5, 3, 0 },     { 257, 33, 17 },
-                                 { 30, 1030, 9 }, { 13, 17, 600 }, { 600, 66, 72 }, { 2, 3, 8300 } };
-    for (int t = 0; t < 4; t++)
-        for (size_t s = 0; s < sizeof sizes / sizeof *sizes; s++)
-            for (int d = 0; d < 2; d++) {
-                const int64_t *size = sizes[s];
-                check_product(d ? HG_F64 : HG_F32, t & 1, t & 2, size[0], size[1], size[2], 1, 0);
-                check_product(d ? HG_F64 : HG_F32, t & 1, t & 2, size[0], size[1], size[2], -0.5, 1);
-                check_product(d ? HG_F64 : HG_F32, t & 1, t & 2, size[0], size[1], size[2], 2, 0.25);
-            }
-}
-
-static void test_product_refuses(void **state)
-{
-    (void)state;
-    hg_ctx *ctx = make_ctx(1);
-    float x[4] = { 0 };
-    assert_int_equal(hg_product(ctx, HG_F32, false, false, 2, 2, 2, 1, x, 1, x, 2, 0, x, 2), HG_INVALID);
-    assert_non_null(strstr(hg_ctx_message(ctx), "lda 1"));
-    hg_ctx_clear(ctx);
-    assert_int_equal(hg_product(ctx, HG_I32, false, false, 2, 2, 2, 1, x, 2, x, 2, 0, x, 2), HG_UNSUPPORTED);
-    hg_ctx_clear(ctx);
-    assert_int_equal(hg_product(ctx, HG_F32, false, false, 0, 2, 2, 1, NULL, 2, x, 2, 0, NULL, 2), HG_OK);
-    hg_ctx_destroy(ctx);
-}
-
 int main(void)
 {
     const struct CMUnitTest tests[] = {
@@ -341,8 +244,6 @@ int main(void)
         cmocka_unit_test(test_tensors),
         cmocka_unit_test(test_conversions),
         cmocka_unit_test(test_launch_covers_blocks),
-        cmocka_unit_test(test_products),
-        cmocka_unit_test(test_product_refuses),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

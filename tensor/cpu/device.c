@@ -51,6 +51,8 @@ static bool launches(const hg_device *device, const hg_kernel *kernel) { return 
 static hg_status compute(hg_device *device, hg_dtype dtype)
 {
     (void)device;
+    if (dtype == HG_TF32)
+        return hg_fail(HG_UNSUPPORTED, "compute in tf32: only GPUs have it; the cpu computes in f32 or bf16");
     if (dtype == HG_F32 || hg_cpu_has_bf16()) return HG_OK;
     return hg_fail(HG_UNSUPPORTED,
                    "compute in bf16: this processor has no bf16 instructions (avx512_bf16), so f32 would be "

@@ -123,6 +123,7 @@ typedef unsigned int nvrtcResult;
 #if HG_CUDA_OWN_TYPES
 typedef struct cublasContext *cublasHandle_t;
 typedef unsigned int cublasStatus_t, cublasOperation_t, cudaDataType, cublasComputeType_t, libraryPropertyType;
+typedef unsigned int cublasAtomicsMode_t, cublasMath_t;
 typedef int cublasGemmAlgo_t;
 #endif
 
@@ -136,6 +137,8 @@ typedef int cublasGemmAlgo_t;
     X(CUBLAS_COMPUTE_32F, 68)                                                                                          \
     X(CUBLAS_COMPUTE_64F, 70)                                                                                          \
     X(CUBLAS_COMPUTE_32F_FAST_TF32, 77)                                                                                \
+    X(CUBLAS_ATOMICS_NOT_ALLOWED, 0)                                                                                   \
+    X(CUBLAS_MATH_DISALLOW_REDUCED_PRECISION_REDUCTION, 16)                                                            \
     X(CUBLAS_GEMM_DEFAULT, -1)                                                                                         \
     X(MAJOR_VERSION, 0)                                                                                                \
     X(MINOR_VERSION, 1)
@@ -146,6 +149,8 @@ typedef int cublasGemmAlgo_t;
     X(cublasGetProperty, "cublasGetProperty", cublasStatus_t, (libraryPropertyType, int *))                            \
     X(cublasSetStream, "cublasSetStream_v2", cublasStatus_t, (cublasHandle_t, CUstream))                               \
     X(cublasSetWorkspace, "cublasSetWorkspace_v2", cublasStatus_t, (cublasHandle_t, void *, size_t))                   \
+    X(cublasSetAtomicsMode, "cublasSetAtomicsMode", cublasStatus_t, (cublasHandle_t, cublasAtomicsMode_t))             \
+    X(cublasSetMathMode, "cublasSetMathMode", cublasStatus_t, (cublasHandle_t, cublasMath_t))                          \
     X(cublasGetStatusString, "cublasGetStatusString", const char *, (cublasStatus_t))                                  \
     X(cublasGemmEx, "cublasGemmEx", cublasStatus_t,                                                                    \
       (cublasHandle_t, cublasOperation_t, cublasOperation_t, int, int, int, const void *, const void *, cudaDataType,  \

@@ -166,12 +166,6 @@ static bool launches(const hg_device *device, const hg_kernel *kernel)
     return (void)device, hg_cuda_has_function(kernel);
 }
 
-static size_t product_workspace(hg_device *device, hg_dtype dtype, bool transpose_a, int64_t m, int64_t n, int64_t k)
-{
-    (void)device, (void)dtype, (void)transpose_a, (void)m, (void)n, (void)k;
-    return 0;
-}
-
 static hg_status compute(hg_device *device, hg_dtype dtype)
 {
     of(device)->compute = dtype;
@@ -191,6 +185,7 @@ static void close_device(hg_device *device)
         hg_cuda_staging_free(d);
         hg_cuda_modules_free(d);
         if (d->blas) d->api->cublasDestroy(d->blas);
+        if (d->blas_workspace) d->api->cuMemFree(d->blas_workspace);
         if (d->stream) d->api->cuStreamDestroy(d->stream);
         d->api->cuDevicePrimaryCtxRelease(d->number);
     }
@@ -232,7 +227,7 @@ hg_status hg_cuda_open(hg_device **out, int number)
                                        .launch = launch,
                                        .launches = launches,
                                        .forget = hg_cuda_forget,
-                                       .product_workspace = product_workspace,
+                                       .product_workspace = hg_cuda_product_workspace,
                                        .product = hg_cuda_product,
                                        .compute = compute,
                                        .record = hg_cuda_record,

@@ -37,7 +37,8 @@ struct hg_cuda_device {
     CUcontext context;
     CUstream stream;
     int major, minor, multiprocessors; /* compute capability */
-    cublasHandle_t blas;
+    cublasHandle_t blas;               /* made with the first product, with its workspace */
+    CUdeviceptr blas_workspace;
     hg_dtype compute;
 
     const char *last; /* what was launched last since the device was last waited for, NULL: nothing */
@@ -87,6 +88,7 @@ bool hg_cuda_has_function(const hg_kernel *kernel);
 void hg_cuda_modules_free(hg_cuda_device *device);
 
 /* product.c */
+size_t hg_cuda_product_workspace(hg_device *device, hg_dtype dtype, bool transpose_a, int64_t m, int64_t n, int64_t k);
 hg_status hg_cuda_product(hg_device *device, int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m,
                           int64_t n, int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb,
                           double beta, void *c, int64_t ldc, void *workspace);
