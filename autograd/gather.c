@@ -1,58 +1,9 @@
 /* gather: rows of axis 0 by index; scatter_add: its adjoint. The sum into a row runs over the places that point at it,
  * in ascending order (a reverse list made by counting), so that it is deterministic without atomics. */
-#include "autograd/tape.h"
+#include "autograd/gather.kernel.h"
+#include "autograd/index.h"
 
 #include <string.h>
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t row; /* elements of a row */
-    const int32_t *index;
-    const int64_t *start;  /* [rows+1] into places */
-    const int32_t *places; /* entries of index, by the row that they name */
-    const void *from;
-    void *to;
-    bool add;
-} gather_args;
-
-/* to[i] = or += from[index[i]] */
-static void gather_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const gather_args *p = memory;
-    size_t bytes = (size_t)p->row * hg_dtype_size(p->dtype);
-    for (int64_t i = first; i < last; i++) {
-        if (!p->add)
-            memcpy((char *)p->to + (size_t)i * bytes, (const char *)p->from + (size_t)p->index[i] * bytes, bytes);
-        else if (p->dtype == HG_F32)
-            for (int64_t j = 0; j < p->row; j++)
-                ((float *)p->to)[i * p->row + j] += ((const float *)p->from)[p->index[i] * p->row + j];
-        else
-            for (int64_t j = 0; j < p->row; j++)
-                ((double *)p->to)[i * p->row + j] += ((const double *)p->from)[p->index[i] * p->row + j];
-    }
-}
-
-/* to[r] = or += sum of from[i] over the i with index[i] == r */
-#define SEGMENTS(REAL, SUFFIX)                                                                                         \
-    static void segments_##SUFFIX(const gather_args *p, int64_t first, int64_t last)                                   \
-    {                                                                                                                  \
-        for (int64_t r = first; r < last; r++) {                                                                       \
-            REAL *to = (REAL *)p->to + r * p->row;                                                                     \
-            if (!p->add) memset(to, 0, (size_t)p->row * sizeof *to);                                                   \
-            for (int64_t k = p->start[r]; k < p->start[r + 1]; k++) {                                                  \
-                const REAL *from = (const REAL *)p->from + p->places[k] * p->row;                                      \
-                for (int64_t j = 0; j < p->row; j++) to[j] += from[j];                                                 \
-            }                                                                                                          \
-        }                                                                                                              \
-    }
-SEGMENTS(float, f32)
-SEGMENTS(double, f64)
-
-static void segments_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const gather_args *p = memory;
-    (p->dtype == HG_F32 ? segments_f32 : segments_f64)(p, first, last);
-}
 
 static int64_t row_of(const hg_tensor *tensor, int from_axis)
 {
@@ -61,47 +12,20 @@ static int64_t row_of(const hg_tensor *tensor, int from_axis)
     return row;
 }
 
-static hg_status take_rows(hg_ctx *ctx, gather_args *args, int64_t n)
+static hg_status take_rows(hg_ctx *ctx, hg_dtype dtype, const gather_args *args, int64_t n)
 {
-    static const hg_kernel kernel = {
-        .name = "gather", .args_size = sizeof(gather_args), .cpu = gather_cpu, .block = 256
-    };
-    return hg_launch(ctx, &kernel, n, args);
+    const size_t size = hg_dtype_size(dtype);
+    const hg_kernel *copy = size == 2 ? &gather_2_kernel : size == 4 ? &gather_4_kernel : &gather_8_kernel;
+    return hg_launch(ctx, args->add ? gather_add_kernels[dtype == HG_F64] : copy, n * args->row, args);
 }
 
-static hg_status sum_segments(hg_ctx *ctx, gather_args *args, int64_t n, int64_t rows)
+static hg_status sum_segments(hg_ctx *ctx, hg_dtype dtype, gather_args *args, const hg_tensor *index, int64_t rows)
 {
-    static const hg_kernel kernel = {
-        .name = "segments", .args_size = sizeof(gather_args), .cpu = segments_cpu, .block = 64
-    };
-    hg_step_mark mark = hg_step_set_mark(ctx);
-    int64_t *start = hg_step_alloc(ctx, (size_t)(rows + 1) * sizeof *start);
-    int32_t *places = hg_step_alloc(ctx, (size_t)n * sizeof *places);
-    if (!start || !places) return HG_MEMORY;
-    memset(start, 0, (size_t)(rows + 1) * sizeof *start);
-    for (int64_t i = 0; i < n; i++) start[args->index[i] + 1]++;
-    for (int64_t r = 0; r < rows; r++) start[r + 1] += start[r];
-    for (int64_t i = 0; i < n; i++) places[start[args->index[i]]++] = (int32_t)i; /* start[r] is now the end of r ... */
-    for (int64_t r = rows; r > 0; r--) start[r] = start[r - 1];                   /* ... which is the start of r + 1 */
-    start[0] = 0;
-    args->start = start;
-    args->places = places;
-    hg_status status = hg_launch(ctx, &kernel, rows, args);
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    hg_status status = hg_index_reverse(ctx, index, rows, &args->start, &args->places);
+    if (status == HG_OK) status = hg_launch(ctx, segments_kernels[dtype == HG_F64], rows * args->row, args);
     hg_step_rewind(ctx, mark);
     return status;
-}
-
-static bool index_is_valid(const hg_call *call, int64_t rows)
-{
-    const hg_tensor *index = call->in[1];
-    const int32_t *at = index->data;
-    int64_t n = hg_tensor_count(index);
-    if (n > INT32_MAX) return hg_refuse(call, "more than 2^31 indices"), false;
-    for (int64_t i = 0; i < n; i++)
-        if (at[i] < 0 || at[i] >= rows)
-            return hg_refuse(call, "index %lld is %d, there are %lld rows", (long long)i, at[i], (long long)rows),
-                   false;
-    return true;
 }
 
 /* ---- gather ---- */
@@ -111,7 +35,7 @@ static hg_tensor *gather_shape(hg_call *call)
     const hg_tensor *a = call->in[0], *index = call->in[1];
     if (a->rank < 1 || index->dtype != HG_I32 || index->rank + a->rank - 1 > HG_MAX_RANK)
         return hg_refuse(call, "a [R,...] is gathered by an i32 index [n]");
-    if (!index_is_valid(call, a->shape[0])) return NULL;
+    if (!hg_index_is_valid(call, index, a->shape[0])) return NULL;
     int64_t shape[HG_MAX_RANK];
     int rank = 0;
     for (int i = 0; i < index->rank; i++) shape[rank++] = index->shape[i];
@@ -122,22 +46,18 @@ static hg_tensor *gather_shape(hg_call *call)
 static hg_status gather_forward(hg_call *call)
 {
     const hg_tensor *a = call->in[0], *index = call->in[1];
-    gather_args args = {
-        .dtype = a->dtype, .row = row_of(a, 1), .index = index->data, .from = a->data, .to = call->out->data
-    };
-    return take_rows(call->ctx, &args, hg_tensor_count(index));
+    gather_args args = { .row = row_of(a, 1), .index = index->data, .from = a->data, .to = call->out->data };
+    return take_rows(call->ctx, a->dtype, &args, hg_tensor_count(index));
 }
 
 static hg_status gather_backward(hg_call *call)
 {
     hg_tensor *a = call->in[0], *index = call->in[1];
     bool fresh;
-    gather_args args = {
-        .dtype = a->dtype, .row = row_of(a, 1), .index = index->data, .from = hg_grad(call->out)->data
-    };
+    gather_args args = { .row = row_of(a, 1), .index = index->data, .from = hg_grad(call->out)->data };
     args.to = hg_grad_data(a, &fresh);
     args.add = !fresh;
-    return sum_segments(call->ctx, &args, hg_tensor_count(index), a->shape[0]);
+    return sum_segments(call->ctx, a->dtype, &args, index, a->shape[0]);
 }
 
 static void gather_reference(const hg_call *call, double *out)
@@ -184,7 +104,7 @@ static hg_tensor *scatter_shape(hg_call *call)
     if (!hg_is_float(a) || a->rank < 1 || index->dtype != HG_I32 || index->rank != 1 ||
         index->shape[0] != a->shape[0] || rows < 0)
         return hg_refuse(call, "a [n,...] is scattered by an i32 index [n] into %lld rows", (long long)rows);
-    if (!index_is_valid(call, rows)) return NULL;
+    if (!hg_index_is_valid(call, index, rows)) return NULL;
     int64_t shape[HG_MAX_RANK];
     memcpy(shape, a->shape, sizeof shape);
     shape[0] = rows;
@@ -194,22 +114,18 @@ static hg_tensor *scatter_shape(hg_call *call)
 static hg_status scatter_forward(hg_call *call)
 {
     const hg_tensor *a = call->in[0], *index = call->in[1];
-    gather_args args = {
-        .dtype = a->dtype, .row = row_of(a, 1), .index = index->data, .from = a->data, .to = call->out->data
-    };
-    return sum_segments(call->ctx, &args, hg_tensor_count(index), call->out->shape[0]);
+    gather_args args = { .row = row_of(a, 1), .index = index->data, .from = a->data, .to = call->out->data };
+    return sum_segments(call->ctx, a->dtype, &args, index, call->out->shape[0]);
 }
 
 static hg_status scatter_backward(hg_call *call)
 {
     hg_tensor *a = call->in[0], *index = call->in[1];
     bool fresh;
-    gather_args args = {
-        .dtype = a->dtype, .row = row_of(a, 1), .index = index->data, .from = hg_grad(call->out)->data
-    };
+    gather_args args = { .row = row_of(a, 1), .index = index->data, .from = hg_grad(call->out)->data };
     args.to = hg_grad_data(a, &fresh);
     args.add = !fresh;
-    return take_rows(call->ctx, &args, hg_tensor_count(index));
+    return take_rows(call->ctx, a->dtype, &args, hg_tensor_count(index));
 }
 
 static void scatter_reference(const hg_call *call, double *out)

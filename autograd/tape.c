@@ -22,6 +22,7 @@ typedef struct {
     hg_ctx *host;         /* where HAIRGRAD_VALIDATE runs everything again; NULL: not wanted */
     hg_node *leaves;      /* owned tensors, until they are destroyed */
     hg_node *step_leaves; /* leaves made in this step */
+    hg_index_known *indices;
 } tape;
 
 /* ---- life ---- */
@@ -48,8 +49,9 @@ static void free_tape(hg_ctx *ctx)
 static void free_leaf(hg_tensor *tensor)
 {
     hg_node *node = tensor->tape;
-    if (!node) return;
     tape *t = *hg_ctx_tape(tensor->ctx);
+    hg_index_forget(&t->indices, tensor);
+    if (!node) return;
     for (hg_node **at = &t->leaves; *at; at = &(*at)->next)
         if (*at == node) {
             *at = node->next;
@@ -80,6 +82,8 @@ static tape *tape_of(hg_ctx *ctx)
     hg_ctx_on_tensor_destroy(ctx, free_leaf);
     return t;
 }
+
+hg_index_known **hg_tape_indices(hg_ctx *ctx) { return &((tape *)*hg_ctx_tape(ctx))->indices; } /* inside a call */
 
 /* ---- leaves and gradients ---- */
 

@@ -42,6 +42,11 @@ hg_status hg_accumulate(hg_ctx *ctx, hg_dtype dtype, int64_t count, const void *
 hg_status hg_sum_middle(hg_ctx *ctx, hg_dtype dtype, int64_t outer, int64_t n, int64_t inner, double scale,
                         const void *from, void *out, bool fresh);
 
+/* What is known of indices that are the caller's (index.c), a list. NULL as root: all of it. */
+typedef struct hg_index_known hg_index_known;
+hg_index_known **hg_tape_indices(hg_ctx *ctx);
+void hg_index_forget(hg_index_known **list, const hg_tensor *root);
+
 /* Input i of a sample as a new step tensor of dtype (i32 stays i32), with its values. */
 hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype dtype);
 
