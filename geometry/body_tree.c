@@ -260,58 +260,6 @@ int64_t hg_body_tree_faces(const hg_body_tree *tree) { return tree->n_faces; }
 
 int64_t hg_body_tree_vertices(const hg_body_tree *tree) { return tree->n_vertices; }
 
-/* ---- one triangle ---- */
-
-hg_body_place hg_body_place_on_triangle(hg_vec3d p, hg_vec3d a, hg_vec3d b, hg_vec3d c)
-{
-    hg_vec3d ab = hg_vec3d_sub(b, a), ac = hg_vec3d_sub(c, a), ap = hg_vec3d_sub(p, a);
-    double ab2 = hg_vec3d_norm2(ab), ac2 = hg_vec3d_norm2(ac), abac = hg_vec3d_dot(ab, ac);
-    double d1 = hg_vec3d_dot(ab, ap), d2 = hg_vec3d_dot(ac, ap), area2 = ab2 * ac2 - abac * abac;
-    hg_body_place face = { .feature = HG_ON_FACE, .distance2 = HUGE_VAL };
-    if (area2 > 1e-20 * ab2 * ac2) {
-        double v = (ac2 * d1 - abac * d2) / area2, w = (ab2 * d2 - abac * d1) / area2;
-        if (v > 0.0 && w > 0.0 && v + w < 1.0) {
-            face.point = hg_vec3d_add_scaled(hg_vec3d_add_scaled(a, v, ab), w, ac);
-            face.distance2 = hg_vec3d_norm2(hg_vec3d_sub(p, face.point));
-            if (area2 > 1e-6 * ab2 * ac2) return face; /* of a sliver v and w are not to be trusted alone */
-        }
-    }
-    hg_body_place best = { .distance2 = HUGE_VAL };
-    const hg_vec3d corner[4] = { a, b, c, a };
-    for (int k = 0; k < 3; k++) {
-        hg_vec3d edge = hg_vec3d_sub(corner[k + 1], corner[k]), from = hg_vec3d_sub(p, corner[k]);
-        double length2 = hg_vec3d_norm2(edge), t = length2 > 0.0 ? hg_vec3d_dot(from, edge) / length2 : 0.0;
-        hg_body_place place = { .feature = HG_ON_EDGE, .corner = k };
-        if (t <= 0.0) {
-            place.feature = HG_ON_VERTEX;
-            place.point = corner[k];
-        } else if (t >= 1.0) {
-            place.feature = HG_ON_VERTEX;
-            place.corner = (k + 1) % 3;
-            place.point = corner[k + 1];
-        } else {
-            place.point = hg_vec3d_add_scaled(corner[k], t, edge);
-        }
-        place.distance2 = hg_vec3d_norm2(hg_vec3d_sub(p, place.point));
-        if (place.distance2 < best.distance2) best = place;
-    }
-    return face.distance2 <= best.distance2 ? face : best;
-}
-
-hg_vec3d hg_body_contact_normal(hg_contact_mode mode, const hg_body_place *place, hg_vec3d p, hg_vec3d normal,
-                                hg_vec3d outward, double near)
-{
-    bool degenerate = !(hg_vec3d_norm2(normal) > 0.0);
-    if (!degenerate && (mode == HG_CONTACT_PLANE || place->feature == HG_ON_FACE)) return normal;
-    hg_vec3d from = hg_vec3d_sub(p, place->point);
-    if (hg_vec3d_norm2(from) > near * near) {
-        hg_vec3d direction = hg_vec3d_normalize(from);
-        return hg_vec3d_dot(direction, outward) < 0.0 ? hg_vec3d_neg(direction) : direction;
-    }
-    hg_vec3d direction = hg_vec3d_normalize(outward);
-    return hg_vec3d_norm2(direction) > 0.0 ? direction : hg_vec3d_make(0.0, 1.0, 0.0);
-}
-
 /* ---- plain search ---- */
 
 static hg_vec3d face_normal(const double *vertices, const int32_t *face)

@@ -14,16 +14,19 @@ extern "C" {
 
 /* ---- body tree ---------------------------------------------------------------------------------------------- */
 
-/* A bounding-volume tree over triangles. Topology is built once from the rest body; hg_body_tree_refit moves it to the
- * vertices of a frame (one hg_body_pose per frame of a batch, so that frames can be queried in parallel). */
+/* A bounding-volume tree over triangles. Topology is built once from the rest body; hg_body_refit_update moves it to the
+ * vertices of a frame, or of several. Vertices, points and what comes out are memory of the context's device. A vertex that is
+ * not finite is an error on the host; elsewhere, where nothing waits for the device, contacts are not a number then. A refit
+ * belongs to the device of its first update and, where that is not the host, is destroyed before the context. */
 typedef struct hg_body_tree hg_body_tree;
-typedef struct hg_body_refit hg_body_refit;                      /* boxes, vertices and normals of one frame */
+typedef struct hg_body_refit hg_body_refit;                      /* boxes, vertices and normals of a frame */
 
 hg_status hg_body_tree_create(hg_body_tree **tree, int64_t n_vertices, const double *rest_vertices /* [N,3] */, int64_t n_faces, const int32_t *faces /* [F,3] */);
 void      hg_body_tree_destroy(hg_body_tree *tree);
 int64_t   hg_body_tree_faces(const hg_body_tree *tree);
 int64_t   hg_body_tree_vertices(const hg_body_tree *tree);
 hg_status hg_body_refit_create(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype);
+hg_status hg_body_refit_create_frames(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype, int64_t frames); /* then vertices are [frames,N,3], and below n the points of each */
 void      hg_body_refit_destroy(hg_body_refit *refit);
 hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices /* [N,3], dtype of the refit */);
 
