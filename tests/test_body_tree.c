@@ -1,5 +1,14 @@
 /* The closest triangle of a moving body: against plain loops over all triangles and against winding numbers. */
+#include "tests/device.h"
 #include "tests/geometry_random.h"
+
+static hg_ctx *on_device(int threads)
+{
+    hg_ctx *ctx = NULL;
+    const hg_ctx_options options = { .threads = threads, .seed = 1, .device = test_device() };
+    assert_int_equal(hg_ctx_create(&ctx, &options), HG_OK);
+    return ctx;
+}
 
 typedef struct {
     int64_t n_vertices, n_faces;
@@ -143,32 +152,55 @@ static double signed_distance(const contacts *c, int64_t i, const double *points
     return hg_vec3d_dot(hg_vec3d_load(c->normal + 3 * i), from);
 }
 
-/* The queries in either precision; results as double. */
+/* Numbers of the host as a tensor of the context's device in `dtype`; and back. */
+static hg_tensor *sent(hg_ctx *ctx, hg_dtype dtype, int64_t n, const double *from)
+{
+    hg_tensor *wide = hg_tensor_create(ctx, HG_F64, 1, &n), *to = hg_tensor_create(ctx, dtype, 1, &n);
+    assert_non_null(to);
+    assert_int_equal(hg_tensor_write(wide, from), HG_OK);
+    assert_int_equal(hg_tensor_copy(to, wide), HG_OK);
+    hg_tensor_destroy(wide);
+    return to;
+}
+
+static void fetched(hg_ctx *ctx, hg_tensor *from, double *to)
+{
+    const int64_t n = hg_tensor_count(from);
+    hg_tensor *wide = hg_tensor_create(ctx, HG_F64, 1, &n);
+    assert_int_equal(hg_tensor_copy(wide, from), HG_OK);
+    assert_int_equal(hg_tensor_read(wide, to), HG_OK);
+    hg_tensor_destroy(wide);
+    hg_tensor_destroy(from);
+}
+
+/* The queries of n points of each frame in either precision on the context's device; results as double. */
+static void query_frames(hg_ctx *ctx, const hg_body_tree *tree, hg_dtype dtype, int64_t frames, const double *vertices,
+                         hg_contact_mode mode, double reach, int64_t n, const double *points, contacts *out)
+{
+    const int64_t all = frames * n;
+    hg_body_refit *refit = NULL;
+    hg_tensor *v = sent(ctx, dtype, frames * 3 * hg_body_tree_vertices(tree), vertices);
+    hg_tensor *p = sent(ctx, dtype, 3 * all, points), *triangle = hg_tensor_create(ctx, HG_I32, 1, &all);
+    hg_tensor *point = hg_tensor_create(ctx, dtype, 1, (int64_t[]){ 3 * all });
+    hg_tensor *normal = hg_tensor_create(ctx, dtype, 1, (int64_t[]){ 3 * all });
+    assert_int_equal(hg_tensor_write(triangle, out->triangle), HG_OK);
+    assert_int_equal(hg_body_refit_create_frames(&refit, tree, dtype, frames), HG_OK);
+    assert_int_equal(hg_body_refit_update(ctx, refit, v->data), HG_OK);
+    assert_int_equal(hg_body_closest(ctx, refit, mode, reach, n, p->data, triangle->data, point->data, normal->data),
+                     HG_OK);
+    assert_int_equal(hg_tensor_read(triangle, out->triangle), HG_OK);
+    fetched(ctx, point, out->point);
+    fetched(ctx, normal, out->normal);
+    hg_tensor_destroy(v);
+    hg_tensor_destroy(p);
+    hg_tensor_destroy(triangle);
+    hg_body_refit_destroy(refit);
+}
+
 static void query(hg_ctx *ctx, const hg_body_tree *tree, hg_dtype dtype, const mesh *m, hg_contact_mode mode,
                   double reach, int64_t n, const double *points, contacts *out)
 {
-    hg_body_refit *refit = NULL;
-    assert_int_equal(hg_body_refit_create(&refit, tree, dtype), HG_OK);
-    if (dtype == HG_F64) {
-        assert_int_equal(hg_body_refit_update(ctx, refit, m->vertices), HG_OK);
-        assert_int_equal(hg_body_closest(ctx, refit, mode, reach, n, points, out->triangle, out->point, out->normal),
-                         HG_OK);
-    } else {
-        float *v = calloc((size_t)m->n_vertices * 3, 4), *p = calloc((size_t)n * 9, 4);
-        assert_non_null(v);
-        assert_non_null(p);
-        for (int64_t i = 0; i < 3 * m->n_vertices; i++) v[i] = (float)m->vertices[i];
-        for (int64_t i = 0; i < 3 * n; i++) p[i] = (float)points[i];
-        assert_int_equal(hg_body_refit_update(ctx, refit, v), HG_OK);
-        assert_int_equal(hg_body_closest(ctx, refit, mode, reach, n, p, out->triangle, p + 3 * n, p + 6 * n), HG_OK);
-        for (int64_t i = 0; i < 3 * n; i++) {
-            out->point[i] = (double)p[3 * n + i];
-            out->normal[i] = (double)p[6 * n + i];
-        }
-        free(v);
-        free(p);
-    }
-    hg_body_refit_destroy(refit);
+    query_frames(ctx, tree, dtype, 1, m->vertices, mode, reach, n, points, out);
 }
 
 static void round_to_float(mesh *m)
@@ -242,7 +274,7 @@ static void test_strands_with_reach(void **state)
 {
     (void)state;
     enum { STRANDS = 60, VERTICES = 25, N = STRANDS * VERTICES };
-    hg_ctx *ctx = make_ctx(2);
+    hg_ctx *ctx = on_device(2);
     mesh m = bumpy_sphere(24, 30, 0.2);
     hg_body_tree *tree = NULL;
     assert_int_equal(hg_body_tree_create(&tree, m.n_vertices, m.vertices, m.n_faces, m.faces), HG_OK);
@@ -295,7 +327,7 @@ static void test_strands_with_reach(void **state)
 static void test_closest_and_refit(void **state)
 {
     (void)state;
-    hg_ctx *ctx = make_ctx(2);
+    hg_ctx *ctx = on_device(2);
     mesh m = bumpy_sphere(24, 30, 0.2);
     round_to_float(&m);
     hg_body_tree *tree = NULL;
@@ -319,7 +351,7 @@ static void test_closest_and_refit(void **state)
 static void test_soup(void **state)
 {
     (void)state;
-    hg_ctx *ctx = make_ctx(2);
+    hg_ctx *ctx = on_device(2);
     for (int n = 1; n <= 900; n = n < 20 ? n + 8 : n * 3) {
         mesh m = triangle_soup(n);
         hg_body_tree *tree = NULL;
@@ -354,7 +386,7 @@ static void test_soup(void **state)
 static void test_sign(void **state)
 {
     (void)state;
-    hg_ctx *ctx = make_ctx(2);
+    hg_ctx *ctx = on_device(2);
     mesh m = bumpy_sphere(16, 20, 0.5); /* deep dents: concave edges and corners on both sides */
     hg_body_tree *tree = NULL;
     assert_int_equal(hg_body_tree_create(&tree, m.n_vertices, m.vertices, m.n_faces, m.faces), HG_OK);
@@ -407,23 +439,20 @@ static void test_sign(void **state)
 static void test_ties(void **state)
 {
     (void)state;
-    hg_ctx *ctx = make_ctx(1);
+    hg_ctx *ctx = on_device(1);
     /* A roof: two triangles that share the ridge (0,0,+-1), the left one steep. Above the ridge both are as near. */
     double vertices[] = { 0, 0, -1, 0, 0, 1, -0.2, -1, 0, 1, -0.3, 0 };
     int32_t faces[] = { 0, 2, 1, 1, 3, 0 };
     hg_body_tree *tree = NULL;
-    hg_body_refit *refit = NULL;
     assert_int_equal(hg_body_tree_create(&tree, 4, vertices, 2, faces), HG_OK);
-    assert_int_equal(hg_body_refit_create(&refit, tree, HG_F64), HG_OK);
-    assert_int_equal(hg_body_refit_update(ctx, refit, vertices), HG_OK);
-    double point[] = { 0.0, 0.5, 0.1 }, a[3], n[3];
-    int32_t triangle = 0;
-    assert_int_equal(hg_body_closest(ctx, refit, HG_CONTACT_PLANE, INFINITY, 1, point, &triangle, a, n), HG_OK);
-    assert_int_equal(triangle,
+    const mesh roof = { 4, 2, vertices, faces };
+    double point[] = { 0.0, 0.5, 0.1 };
+    contacts one = contacts_make(1);
+    query(ctx, tree, HG_F64, &roof, HG_CONTACT_PLANE, INFINITY, 1, point, &one);
+    assert_int_equal(one.triangle[0],
                      1); /* height 0.5 cos(16.7 deg) above the right plane, 0.5 cos(78.7 deg) above the left */
-    assert_true(fabs(n[0] * (point[0] - a[0]) + n[1] * (point[1] - a[1]) + n[2] * (point[2] - a[2]) -
-                     0.5 / sqrt(1.09)) < 1e-12);
-    hg_body_refit_destroy(refit);
+    assert_true(fabs(signed_distance(&one, 0, point) - 0.5 / sqrt(1.09)) < 1e-12);
+    contacts_free(&one);
     hg_body_tree_destroy(tree);
 
     /* A cone of 64 triangles around its tip: more ties than a search keeps; all heights equal to rounding. */
@@ -462,7 +491,7 @@ static void test_ties(void **state)
 static void test_degenerate_bodies(void **state)
 {
     (void)state;
-    hg_ctx *ctx = make_ctx(1);
+    hg_ctx *ctx = on_device(1);
     hg_body_tree *tree = NULL;
     double vertices[] = { 0, 0, 0, 1, 0, 0, 0, 0, 1 };
     assert_int_equal(hg_body_tree_create(&tree, 3, vertices, 0, NULL), HG_INVALID);
@@ -496,15 +525,75 @@ static void test_degenerate_bodies(void **state)
     assert_int_equal(hg_body_refit_create(&refit, tree, HG_F64), HG_OK);
     assert_int_equal(hg_body_closest(ctx, refit, HG_CONTACT_EXACT, 1.0, 1, points, got.triangle, got.point, got.normal),
                      HG_INVALID);
-    double nan_body[] = { NAN, 0, 0, 0, 0, 0, 0, 0, 0 };
-    assert_int_equal(hg_body_refit_update(ctx, refit, nan_body), HG_NUMERIC);
-    assert_int_equal(hg_body_refit_update(ctx, refit, vertices), HG_OK);
+    const double nan_body[] = { NAN, 0, 0, 0, 0, 0, 0, 0, 0 };
+    hg_tensor *body = sent(ctx, HG_F64, 9, nan_body);
+    if (hg_ctx_host(
+            ctx)) { /* elsewhere nothing waits for the device: contacts are not numbers, and the loss then is not */
+        assert_int_equal(hg_body_refit_update(ctx, refit, body->data), HG_NUMERIC);
+    } else {
+        m.n_faces = 1;
+        m.vertices = (double *)(uintptr_t)nan_body;
+        query(ctx, tree, HG_F64, &m, HG_CONTACT_EXACT, 1.0, 2, points, &got);
+        for (int i = 0; i < 6; i++) assert_true(isnan(got.point[i]) && isnan(got.normal[i]));
+        assert_int_equal(got.triangle[0], -1);
+    }
+    assert_int_equal(hg_tensor_write(body, vertices), HG_OK);
+    assert_int_equal(hg_body_refit_update(ctx, refit, body->data), HG_OK);
     assert_int_equal(hg_body_closest(ctx, refit, HG_CONTACT_EXACT, 1.0, 0, points, got.triangle, got.point, got.normal),
                      HG_OK);
+    hg_tensor_destroy(body);
     hg_body_refit_destroy(refit);
     hg_body_tree_destroy(tree);
     contacts_free(&got);
     hg_ctx_destroy(ctx);
+}
+
+/* Several frames at once are what each is alone, and so are those of the processor: to the last bit where both are in f64 but for
+ * what is rounded. */
+static void test_frames(void **state)
+{
+    (void)state;
+    enum { N = 500, FRAMES = 3 };
+    hg_ctx *ctx = on_device(2), *host = NULL;
+    assert_int_equal(hg_ctx_create(&host, &(hg_ctx_options){ .threads = 2 }), HG_OK);
+    mesh m = bumpy_sphere(24, 30, 0.2);
+    hg_body_tree *tree = NULL;
+    assert_int_equal(hg_body_tree_create(&tree, m.n_vertices, m.vertices, m.n_faces, m.faces), HG_OK);
+    double *points = query_points(&m, FRAMES * N, 0.2);
+    double *vertices = calloc((size_t)(FRAMES * m.n_vertices) * 3, sizeof *vertices);
+    assert_non_null(vertices);
+    for (int64_t i = 0; i < FRAMES * 3 * m.n_vertices; i++)
+        vertices[i] = m.vertices[i % (3 * m.n_vertices)] * (1.0 + 0.1 * (double)(i / (3 * m.n_vertices)));
+    for (int dtype = HG_F32; dtype <= HG_F64; dtype++) {
+        contacts together = contacts_make(FRAMES * N), alone = contacts_make(N), there = contacts_make(N);
+        query_frames(ctx, tree, (hg_dtype)dtype, FRAMES, vertices, HG_CONTACT_EXACT, INFINITY, N, points, &together);
+        for (int64_t b = 0; b < FRAMES; b++) {
+            const double *frame = vertices + b * 3 * m.n_vertices;
+            query_frames(ctx, tree, (hg_dtype)dtype, 1, frame, HG_CONTACT_EXACT, INFINITY, N, points + 3 * b * N,
+                         &alone);
+            query_frames(host, tree, (hg_dtype)dtype, 1, frame, HG_CONTACT_EXACT, INFINITY, N, points + 3 * b * N,
+                         &there);
+            assert_memory_equal(alone.triangle, together.triangle + b * N, N * sizeof(int32_t));
+            assert_memory_equal(alone.point, together.point + 3 * b * N, 3 * N * sizeof(double));
+            assert_memory_equal(alone.normal, together.normal + 3 * b * N, 3 * N * sizeof(double));
+            for (int64_t i = 0; i < N; i++) {
+                const double tolerance = dtype == HG_F64 ? 1e-12 : 2e-6;
+                const double here = signed_distance(&alone, i, points + 3 * b * N);
+                assert_true(fabs(here - signed_distance(&there, i, points + 3 * b * N)) < tolerance);
+                if (dtype == HG_F64) assert_int_equal(alone.triangle[i], there.triangle[i]);
+            }
+            for (int64_t i = 0; i < N; i++) alone.triangle[i] = there.triangle[i] = -1;
+        }
+        contacts_free(&together);
+        contacts_free(&alone);
+        contacts_free(&there);
+    }
+    free(vertices);
+    free(points);
+    hg_body_tree_destroy(tree);
+    mesh_free(&m);
+    hg_ctx_destroy(ctx);
+    hg_ctx_destroy(host);
 }
 
 static void test_threads(void **state)
@@ -517,7 +606,7 @@ static void test_threads(void **state)
     double *points = query_points(&m, N, 0.2);
     contacts c[2] = { contacts_make(N), contacts_make(N) };
     for (int t = 0; t < 2; t++) {
-        hg_ctx *ctx = make_ctx(t + 1);
+        hg_ctx *ctx = on_device(t + 1);
         query(ctx, tree, HG_F32, &m, HG_CONTACT_EXACT, 0.02, N, points, &c[t]);
         hg_ctx_destroy(ctx);
     }
@@ -539,6 +628,7 @@ int main(void)
         cmocka_unit_test(test_sign),
         cmocka_unit_test(test_ties),
         cmocka_unit_test(test_degenerate_bodies),
+        cmocka_unit_test(test_frames),
         cmocka_unit_test(test_threads),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
