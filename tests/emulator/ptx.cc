@@ -113,7 +113,7 @@ class translator
             else if (word == ".global" || word == ".const" || word == ".shared") variable(word);
             else refuse("directive " + word);
         }
-        return "#include \"ptx_runtime.h\"\nemulator_state *emulator;\nemulator_kernel *emulator_kernels;\nenum { SHARED = " + text_of(shared + 16) +
+        return "#include \"ptx_runtime.h\"\nenum { SHARED = " + text_of(shared + 16) +
                " };\n__shared__ __attribute__((aligned(16))) unsigned char shared_memory[SHARED];\nstatic inline u64 shared_at(u64 address) { return (u32)address < SHARED ? "
                "(u64)(uintptr_t)(shared_memory + (u32)address) : (u64)(uintptr_t)emulator->dynamic_shared + (u32)address - SHARED; }\n"
                "static inline u64 shared_address(u64 generic) { const u64 first = (u64)(uintptr_t)shared_memory; return generic >= first && generic < first + SHARED ? "
@@ -123,7 +123,7 @@ class translator
   private:
     words in;
     size_t at = 0, shared = 0;
-    std::string declarations, bodies, out, kernel;
+    std::string declarations, bodies, out, kernel, parameter_sizes;
     std::map<std::string, char> symbols;        /* g: global, s: shared, d: dynamic shared, p: parameter, l: local */
     std::map<std::string, size_t> shared_place; /* of a static shared variable */
     std::map<std::string, words> tables;        /* of branch targets */
@@ -198,6 +198,7 @@ class translator
     words parameters()
     {
         words names;
+        parameter_sizes.clear();
         expect("(");
         while (peek() != ")") {
             if (peek() == ",") take();
@@ -206,6 +207,7 @@ class translator
             std::string align, type;
             names.push_back(described(&bytes, &align, &type));
             symbols[names.back()] = 'p';
+            parameter_sizes += text_of(bytes) + ", ";
         }
         take();
         return names;
@@ -217,6 +219,7 @@ class translator
         if (!entry && peek() == "(") results = parameters();
         kernel = take();
         if (peek() == "(") given = parameters();
+        const std::string sizes = parameter_sizes;
         while (peek() != "{" && peek() != ";") take(); /* .maxntid 256, 1, 1 and the like */
         const std::string head = "static void " + name_of(kernel) + (entry ? "(void **given)" : "(void *result, void **given)");
         declarations += head + ";\n";
@@ -234,8 +237,9 @@ class translator
         }
         bodies += out;
         if (entry)
-            bodies += "static emulator_kernel export_" + kernel + " = { \"" + kernel + "\", " + name_of(kernel) +
-                      ", nullptr };\n__attribute__((constructor)) static void add_" + kernel + "() { export_" + kernel + ".next = emulator_kernels; emulator_kernels = &export_" + kernel + "; }\n";
+            bodies += "static const size_t sizes_" + kernel + "[] = { " + sizes + "0 };\nstatic emulator_kernel export_" + kernel + " = { \"" + kernel + "\", " + name_of(kernel) + ", sizes_" + kernel +
+                      ", nullptr };\n__attribute__((constructor)) static void add_" + kernel + "() { export_" + kernel +
+                      ".next = emulator_this_module.kernels; emulator_this_module.kernels = &export_" + kernel + "; }\n";
     }
 
     void label(const std::string &word)
@@ -696,7 +700,7 @@ bool ptx_to_object(const std::string &ptx, std::string *object, std::string *err
     if (!mkdtemp(folder)) return *error = "PTX: no temporary folder", false;
     const std::string at = folder, compiler = getenv("CXX") ? getenv("CXX") : "c++";
     std::ofstream(at + "/source.cc") << cpp;
-    const std::string command = compiler + " -std=c++17 -O1 -w -fPIC -shared -ffp-contract=off -I'" EMULATOR_SOURCE "' '" + at + "/source.cc' -o '" + at + "/object.so' > '" + at + "/log' 2>&1";
+    const std::string command = compiler + " -std=c++17 -O1 -w -fPIC -shared -fno-gnu-unique -fvisibility=hidden -ffp-contract=off -I'" EMULATOR_SOURCE "' '" + at + "/source.cc' -o '" + at + "/object.so' > '" + at + "/log' 2>&1";
     const bool good = system(command.c_str()) == 0;
     std::stringstream read;
     read << std::ifstream(at + (good ? "/object.so" : "/log"), std::ios::binary).rdbuf();
