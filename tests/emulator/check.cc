@@ -59,19 +59,20 @@ bool before_me(uint32_t lanes, uint32_t clock, const uint32_t *mine)
     return true;
 }
 
-void use(cell &c, unsigned bytes, const access &a)
+/* `since`: what happened to this memory before is over: the beginning of the launch, for shared memory of the block. */
+void use(cell &c, unsigned bytes, const access &a, uint32_t since)
 {
     const int warp = current / WARP, lane = current % WARP;
     const uint32_t *mine = clocks[current], me = 1u << lane;
     const uint32_t code = (uint32_t)((uintptr_t)a.code - running->what->home->begin);
 
-    if (c.write_time >= launch_began && (c.write_bytes & bytes) && !(a.atomic && c.atomic)) {
+    if (c.write_time >= since && (c.write_bytes & bytes) && !(a.atomic && c.atomic)) {
         if (c.write_time < block_began) race(a, c, true);
         if (c.write_time == now && c.write_thread != current && (c.write_thread / WARP != warp || mine[c.write_thread % WARP] < c.write_clock)) race(a, c, true);
     }
     if (!a.write) {
-        const bool of_launch = c.read_time >= launch_began, same_time = c.read_time == now;
-        if (!of_launch) c.several = 0;
+        const bool recent = c.read_time >= since, same_time = c.read_time == now;
+        if (!recent) c.several = 0;
         else if (c.read_time < block_began) c.several = SEVERAL_BLOCKS;
         else if (!same_time) c.several &= SEVERAL_BLOCKS;
         if (same_time && c.read_warp != warp) {
@@ -86,7 +87,7 @@ void use(cell &c, unsigned bytes, const access &a)
         c.read_time = now, c.read_warp = (uint16_t)warp, c.read_code = code;
         return;
     }
-    if (c.read_time >= launch_began && (c.read_bytes & bytes)) {
+    if (c.read_time >= since && (c.read_bytes & bytes)) {
         if ((c.several & SEVERAL_BLOCKS) || c.read_time < block_began) race(a, c, false);
         if (c.read_time == now && ((c.several & SEVERAL_WARPS) || c.read_warp != warp || !before_me(c.read_lanes & ~me, c.read_clock, mine))) race(a, c, false);
     }
@@ -94,11 +95,11 @@ void use(cell &c, unsigned bytes, const access &a)
     c.atomic = a.atomic;
 }
 
-void use_cells(cell *cells, uintptr_t base, const access &a)
+void use_cells(cell *cells, uintptr_t base, const access &a, uint32_t since)
 {
     for (uintptr_t at = a.at & ~(uintptr_t)3; at < a.at + a.size; at += 4) {
         const unsigned from = at < a.at ? (unsigned)(a.at - at) : 0, to = a.at + a.size - at < 4 ? (unsigned)(a.at + a.size - at) : 4;
-        use(cells[(at - base) / 4], (0xfu << from) & (0xfu >> (4 - to)), a);
+        use(cells[(at - base) / 4], (0xfu << from) & (0xfu >> (4 - to)), a, since);
     }
 }
 
@@ -110,7 +111,7 @@ void shared(std::vector<cell> &cells, uintptr_t begin, uintptr_t end, const acce
     for (uintptr_t at = a.at & ~(uintptr_t)3; at < a.at + a.size && (!a.write || a.atomic); at += 4)
         if (cells[(at - base) / 4].write_time < block_began)
             stop_at(a.code, "reads shared memory that no thread of this block has written (byte %zu)", (size_t)(a.at - begin));
-    use_cells(cells.data(), base, a);
+    use_cells(cells.data(), base, a, block_began);
 }
 
 /* Neither the device's memory nor the thread's stack. */
@@ -152,7 +153,7 @@ inline void check(const access &a)
         if (memory == MAP_FAILED) stop("no room for %zu bytes of addresses, with which accesses are checked", size / 4 * sizeof(cell));
         device_cells = (cell *)memory;
     }
-    use_cells(device_cells, device_base, a);
+    use_cells(device_cells, device_base, a, launch_began);
 }
 
 inline void access_of(const void *at, size_t size, bool write, const void *code, bool aligned)

@@ -31,6 +31,7 @@ std::string line_of(const void *code)
         }
         line[strcspn(line, " \n")] = 0;
         if (line[0] && line[0] != '?' && !strstr(line, ":?")) place = line;
+        if (const size_t folder = place.find("emulated-nvrtc-"); folder != std::string::npos) place.erase(0, folder + strlen("emulated-nvrtc-XXXXXX/"));
     }
     if (place.empty() && info.dli_sname) place = info.dli_sname;
     return place;

@@ -357,7 +357,10 @@ std::string thread_name(int k)
 
 bool in_stacks(uintptr_t at) { return stacks && at >= (uintptr_t)stacks && at < (uintptr_t)stacks + (size_t)MOST_THREADS * STRIDE; }
 bool in_stack_guard(uintptr_t at) { return in_stacks(at) && (at - (uintptr_t)stacks) % STRIDE < PAGE; }
-bool is_argument(uintptr_t at) { return at >= arguments_begin && at < arguments_end; }
+bool is_argument(uintptr_t at)
+{
+    return (at >= arguments_begin && at < arguments_end) || at - (uintptr_t)arguments.data() < arguments.size() * sizeof arguments[0];
+}
 
 void run_kernel(const launch &l)
 {
