@@ -67,6 +67,7 @@ static bool unknown_option(const hg_command *command, const char *word, size_t l
 bool cli_parse(hg_arguments *arguments, const hg_command *command, int count, char **words, bool *help)
 {
     memset(arguments, 0, sizeof *arguments);
+    arguments->command = command;
     *help = false;
     arguments->free = hg_alloc((size_t)count, sizeof *arguments->free);
     if (arguments->free == NULL) {
@@ -191,7 +192,9 @@ bool cli_context(hg_ctx **ctx, const hg_arguments *arguments)
     }
     hg_ctx_options options = { .threads = (int)threads,
                                .seed = (uint64_t)seed,
-                               .device = cli_value(arguments, "device", NULL) };
+                               .device = find_option(arguments->command, "device", strlen("device"))
+                                             ? cli_value(arguments, "device", CLI_DEVICE)
+                                             : "cpu" };
     return hg_ctx_create(ctx, &options) == HG_OK;
 }
 

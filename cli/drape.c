@@ -99,6 +99,7 @@ static const hg_argument drape_options[] = {
     { "first", "N", "first frame (default 0)", false },
     { "frames", "N", "how many (default: all)", false },
     { "stride", "N", "every N-th strand only (default 1)", false },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

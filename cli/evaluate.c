@@ -119,6 +119,7 @@ static const hg_argument evaluate_options[] = {
       true },
     { "json", "FILE", "write the metrics there too", false },
     CLI_TRAP_OPTION,
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

@@ -59,6 +59,7 @@ static const hg_argument export_options[] = {
     { "to", "FORMAT", "onnx or h5 (default: by the file's name)", false },
     { "form", "FORM", "of onnx: concatenated (one graph, default) or factored (strands once per groom, then frames)",
       false },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(export, .what = "write a trained network for other runtimes", .usage = "RUN --to onnx|h5 -o FILE",

@@ -104,6 +104,7 @@ static const hg_argument fit_options[] = {
     { "body", "FILE", "the body that moves with it (default: the one that the drape names)", false },
     { "groom", "NAME", "a groom of the recipe, another file (.h5) or a style (default: the recipe's first)", false },
     { "set", "KEY=VALUE", "override a value of the recipe, like losses.stretch.stiffness=5", true },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(fit, .what = "what the hair of an observed drape is made of", .usage = "material RECIPE.yaml DRAPE.vtkhdf",

@@ -221,6 +221,7 @@ static const hg_argument gradcheck_options[] = {
       true },
     { "verbose", NULL, "every step of the sweep of the worst element", false },
     { "tolerance", "X", "relative error that is still right (default 1e-6)", false },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

@@ -72,6 +72,7 @@ static const hg_argument loss_options[] = {
     { "backend", "NAME", "auto, interpreter or compiled (default auto: compiled where that is worth it)", false },
     { "trap-nan", NULL, "stop at the first number that is not finite: energy, strand, vertex, and a file with it",
       false },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

@@ -182,6 +182,7 @@ static const hg_argument profile_options[] = {
     { "steps", "N", "steps to count, after 3 that are not (default 20)", false },
     { "json", "FILE", "the same as JSON", false },
     { "set", "KEY=VALUE", "override a value of the recipe", true },
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(profile, .what = "where the time of a training step goes", .usage = "RECIPE.yaml",

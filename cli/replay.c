@@ -29,7 +29,7 @@ static int replay(const hg_arguments *arguments)
     return status == HG_OK ? 0 : cli_fail();
 }
 
-static const hg_argument replay_options[] = { CLI_CONTEXT_OPTIONS };
+static const hg_argument replay_options[] = { CLI_DEVICE_OPTION, CLI_CONTEXT_OPTIONS };
 HG_COMMAND(replay, .what = "run again what --trap-nan wrote", .usage = "NAN.h5", .options = replay_options,
            .n_options = sizeof replay_options / sizeof *replay_options, .min_free = 1, .max_free = 1, .run = replay,
            .more = "Of an op: where its inputs, output and gradients are not finite, in its own precision and in f64.\n"

@@ -107,6 +107,7 @@ static const hg_argument train_options[] = {
     { "other-backend", NULL, "resume although another back end computed the checkpoint", false },
     { "graph", "FILE.dot", "draw the tape of the first step: ops, shapes, norms of gradients (Graphviz)", false },
     CLI_TRAP_OPTION,
+    CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
 HG_COMMAND(

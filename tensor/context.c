@@ -4,14 +4,15 @@
 #include <omp.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
+#include <unistd.h>
 
 /* ---- life ---- */
 
 /* "cpu", "cuda", "cuda:1", "auto". */
 static hg_status open_device(hg_device **device, const char *name)
 {
-    int number = 0;
     *device = hg_cpu_device();
     if (!name || !name[0] || strcmp(name, "cpu") == 0) return HG_OK;
     if (strcmp(name, "auto") == 0) {
@@ -19,8 +20,12 @@ static hg_status open_device(hg_device **device, const char *name)
         if (hg_cuda_open(&cuda, 0) == HG_OK) *device = cuda;
         return HG_OK;
     }
-    if (strcmp(name, "cuda") == 0 || (sscanf(name, "cuda:%d", &number) == 1 && number >= 0))
-        return hg_cuda_open(device, number);
+    if (strcmp(name, "cuda") == 0) return hg_cuda_open(device, 0);
+    if (strncmp(name, "cuda:", 5) == 0 && name[5] >= '0' && name[5] <= '9') {
+        char *end;
+        const long number = strtol(name + 5, &end, 10);
+        if (!*end && number < 1024) return hg_cuda_open(device, (int)number);
+    }
     return hg_fail(HG_UNSUPPORTED, "device \"%s\" is not known: cpu, cuda, cuda:NUMBER and auto are", name);
 }
 
@@ -62,6 +67,7 @@ void hg_ctx_destroy(hg_ctx *ctx)
 uint64_t hg_ctx_seed(const hg_ctx *ctx) { return ctx->seed; }
 int hg_ctx_threads(const hg_ctx *ctx) { return ctx->threads; }
 const char *hg_ctx_device(const hg_ctx *ctx) { return ctx->device->name; }
+const char *hg_ctx_device_what(const hg_ctx *ctx) { return ctx->device->what; }
 bool hg_ctx_host(const hg_ctx *ctx) { return ctx->device->host; }
 hg_ctx *hg_ctx_on_host(hg_ctx *ctx)
 {
@@ -240,6 +246,9 @@ int hg_devices(hg_device_info *infos, int room)
         infos[0] = (hg_device_info){ .name = "cpu" };
         snprintf(infos[0].what, sizeof infos[0].what, "%d threads%s", omp_get_max_threads(),
                  hg_cpu_has_bf16() ? ", bf16 products" : "");
+        const long page = sysconf(_SC_PAGESIZE), pages = sysconf(_SC_PHYS_PAGES), free = sysconf(_SC_AVPHYS_PAGES);
+        if (page > 0 && pages > 0) infos[0].memory = (size_t)page * (size_t)pages;
+        if (page > 0 && free > 0) infos[0].free = (size_t)page * (size_t)free;
     }
     return 1 + hg_cuda_list(infos + 1, room > 1 ? room - 1 : 0);
 }

@@ -8,6 +8,7 @@
 typedef struct hg_device hg_device;
 struct hg_device {
     const char *name;
+    char what[160];             /* hg_ctx_device_what */
     bool host;                  /* its memory can be read and written by the processor */
     void (*close)(hg_device *); /* NULL: nothing to close */
     void *(*alloc)(

@@ -62,6 +62,7 @@ hg_status   hg_ctx_fail(hg_ctx *ctx, hg_status status, const char *format, ...) 
 uint64_t    hg_ctx_seed(const hg_ctx *ctx);
 int         hg_ctx_threads(const hg_ctx *ctx);
 const char *hg_ctx_device(const hg_ctx *ctx);                    /* "cpu", "cuda" */
+const char *hg_ctx_device_what(const hg_ctx *ctx);               /* which one: "NVIDIA A100, compute capability 8.0"; "" on the cpu */
 bool        hg_ctx_host(const hg_ctx *ctx);                      /* may `data` be read and written by the processor? */
 /* For work on arrays of the host, such as scenes and files: ctx itself, or a context of the processor beside it, which is made at
  * the first call and goes with it. NULL sets the error. */
@@ -80,7 +81,7 @@ const char *hg_ctx_caller(const hg_ctx *ctx, int *line);
 
 /* ---- devices ------------------------------------------------------------------------------------------------ */
 
-/* What there is, cpu first. A device that cannot be used is listed too, with the reason; nothing is started that was not. */
+/* What there is, cpu first; memory in bytes, 0: not known. A device that cannot be used is listed too, with the reason; nothing is started that was not. */
 typedef struct { char name[16], what[128], versions[256], why[256]; /* why not, one sentence; "" where it works */ size_t memory, free; } hg_device_info;
 int       hg_devices(hg_device_info *infos, int room);           /* how many there are */
 hg_status hg_ctx_wait(hg_ctx *ctx);                              /* until all that was launched is done; errors of it come out here */

@@ -298,6 +298,10 @@ static hg_status prepare(run *r)
     if (!r->resumed) HG_TRY(start(r));
     HG_TRY(hg_run_log_open(&r->log, folder, r->state.step));
     if (r->options->tensorboard) HG_TRY(hg_events_open(&r->events, folder, r->state.step));
+    char device[192];
+    snprintf(device, sizeof device, "%s%s%s", hg_ctx_device(r->ctx), hg_ctx_host(r->ctx) ? "" : ": ",
+             hg_ctx_device_what(r->ctx));
+    HG_TRY(hg_run_log_note(r->log, r->state.step, "device", device));
     if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
     if (r->options->backend_note && r->options->backend_note[0])
         HG_TRY(hg_run_log_note(r->log, r->state.step, "backend_note", r->options->backend_note));

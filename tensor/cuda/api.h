@@ -175,6 +175,7 @@ typedef struct {
 
 /* Opened once for the process and kept. One sentence why not: no driver, no NVRTC, no cuBLAS, too old. */
 hg_status hg_cuda_library(const hg_cuda_api **api);
+const char *hg_cuda_refusal(void); /* that sentence */
 
 /* HG_OK or one sentence: what was tried, CUDA's name of the error and its own words. */
 hg_status hg_cuda_check(const hg_cuda_api *api, CUresult result, const char *what);

@@ -192,6 +192,17 @@ static void close_device(hg_device *device)
     hg_free(d);
 }
 
+/* "NVIDIA A100, compute capability 8.0" */
+static void describe(const hg_cuda_api *api, CUdevice device, char *text, size_t size)
+{
+    char name[96] = "";
+    int major = 0, minor = 0;
+    api->cuDeviceGetName(name, sizeof name, device);
+    api->cuDeviceGetAttribute(&major, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, device);
+    api->cuDeviceGetAttribute(&minor, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR, device);
+    snprintf(text, size, "%s, compute capability %d.%d", name, major, minor);
+}
+
 static hg_status start(hg_cuda_device *d, int number)
 {
     const hg_cuda_api *api = d->api;
@@ -204,6 +215,7 @@ static hg_status start(hg_cuda_device *d, int number)
     api->cuDeviceGetAttribute(&d->major, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, d->number);
     api->cuDeviceGetAttribute(&d->minor, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR, d->number);
     api->cuDeviceGetAttribute(&d->multiprocessors, CU_DEVICE_ATTRIBUTE_MULTIPROCESSOR_COUNT, d->number);
+    describe(api, d->number, d->device.what, sizeof d->device.what);
     HG_TRY(hg_cuda_check(api, api->cuDevicePrimaryCtxRetain(&d->context, d->number), "the context of the device"));
     HG_TRY(hg_cuda_enter(d));
     HG_TRY(hg_cuda_check(api, api->cuStreamCreate(&d->stream, CU_STREAM_NON_BLOCKING), "a stream"));
@@ -245,28 +257,26 @@ hg_status hg_cuda_open(hg_device **out, int number)
 int hg_cuda_list(hg_device_info *infos, int room)
 {
     const hg_cuda_api *api;
-    hg_device_info none = { .name = "cuda" };
+    int count = 0;
     if (hg_cuda_library(&api) != HG_OK) {
-        snprintf(none.why, sizeof none.why, "%s", hg_message());
-        if (room > 0) infos[0] = none;
+        if (room > 0) {
+            infos[0] = (hg_device_info){ .name = "cuda" };
+            snprintf(infos[0].why, sizeof infos[0].why, "%s", hg_cuda_refusal());
+        }
         return 1;
     }
-    int count = 0;
     api->cuDeviceGetCount(&count);
     for (int i = 0; i < count && i < room; i++) {
         hg_device_info *info = &infos[i];
-        int major = 0, minor = 0;
         CUdevice device = 0;
-        *info = none;
+        *info = (hg_device_info){ .name = "cuda" };
         if (count > 1) snprintf(info->name, sizeof info->name, "cuda:%d", i);
         api->cuDeviceGet(&device, i);
-        api->cuDeviceGetName(info->what, sizeof info->what, device);
         api->cuDeviceTotalMem(&info->memory, device);
-        api->cuDeviceGetAttribute(&major, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, device);
-        api->cuDeviceGetAttribute(&minor, CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MINOR, device);
-        snprintf(info->versions, sizeof info->versions, "compute capability %d.%d, driver for CUDA %d.%d, NVRTC %d.%d",
-                 major, minor, api->driver_version / 1000, api->driver_version % 1000 / 10, api->nvrtc_major,
-                 api->nvrtc_minor);
+        describe(api, device, info->what, sizeof info->what);
+        snprintf(info->versions, sizeof info->versions, "driver for CUDA %d.%d, NVRTC %d.%d, cuBLAS %d.%d",
+                 api->driver_version / 1000, api->driver_version % 1000 / 10, api->nvrtc_major, api->nvrtc_minor,
+                 api->blas_major, api->blas_minor);
     }
     return count;
 }

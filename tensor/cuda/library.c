@@ -3,6 +3,7 @@
 
 #include <dlfcn.h>
 #include <pthread.h>
+#include <stdarg.h>
 #include <stdio.h>
 #include <string.h>
 
@@ -10,28 +11,43 @@ static hg_cuda_api table;
 static hg_status table_status;
 static char table_message[256];
 
-static void *open_first(const char *const *names)
+/* Libraries of the toolkit are "NAME.so.MAJOR". One of a newer major version than the driver makes what that cannot load. */
+static void *open_toolkit(const char *name)
 {
+    enum { NEWEST = 13, OLDEST = 12 };
     void *library = NULL;
-    for (int i = 0; names[i] && !library; i++) library = dlopen(names[i], RTLD_NOW | RTLD_LOCAL);
+    const int most = table.driver_version / 1000 < NEWEST ? table.driver_version / 1000 : NEWEST;
+    for (int major = most; major >= OLDEST && !library; major--) {
+        char path[64];
+        snprintf(path, sizeof path, "%s.so.%d", name, major);
+        library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    }
     return library;
 }
 
-static hg_status refuse(const char *format, const char *what)
+static hg_status refuse(const char *format, ...) HG_PRINTF(1, 2);
+static hg_status refuse(const char *format, ...)
 {
-    snprintf(table_message, sizeof table_message, format, what);
+    va_list arguments;
+    va_start(arguments, format);
+    vsnprintf(table_message, sizeof table_message, format, arguments);
+    va_end(arguments);
     return HG_UNSUPPORTED;
 }
 
 #define TAKE(field_, symbol_, result_, arguments_)                                                                     \
     *(void **)(void *)&table.field_ = dlsym(library, symbol_);                                                         \
-    if (!table.field_) return refuse("%s is missing: the driver or toolkit is older than CUDA 12.4", symbol_);
+    if (!table.field_) return refuse("%s is missing in what was found of CUDA: version 12 or later is needed", symbol_);
 
 static hg_status take_driver(void)
 {
-    static const char *const names[] = { "libcuda.so.1", NULL };
-    void *library = open_first(names);
-    if (!library) return refuse("there is no NVIDIA driver here (%s was not found)", names[0]);
+    void *library = dlopen("libcuda.so.1", RTLD_NOW | RTLD_LOCAL);
+    if (!library) return refuse("there is no NVIDIA driver here (libcuda.so.1 was not found)");
+    *(void **)(void *)&table.cuDriverGetVersion = dlsym(library, "cuDriverGetVersion"); /* an old one says so itself */
+    if (table.cuDriverGetVersion) table.cuDriverGetVersion(&table.driver_version);
+    if (table.driver_version < 12000)
+        return refuse("the NVIDIA driver is for CUDA %d.%d: one for 12.0 or later is needed",
+                      table.driver_version / 1000, table.driver_version % 1000 / 10);
     HG_CUDA_DRIVER(TAKE)
     CUresult result = table.cuInit(0);
     const char *name = NULL;
@@ -39,15 +55,15 @@ static hg_status take_driver(void)
         table.cuGetErrorName(result, &name);
         return refuse("the NVIDIA driver found no GPU that it can use (cuInit: %s)", name ? name : "unknown error");
     }
-    table.cuDriverGetVersion(&table.driver_version);
     return HG_OK;
 }
 
 static hg_status take_nvrtc(void)
 {
-    static const char *const names[] = { "libnvrtc.so.13", "libnvrtc.so.12", "libnvrtc.so", NULL };
-    void *library = open_first(names);
-    if (!library) return refuse("the run-time compiler of CUDA is missing (%s or .12): install cuda-nvrtc", names[0]);
+    void *library = open_toolkit("libnvrtc");
+    if (!library)
+        return refuse("CUDA's compiler at run time, libnvrtc.so.%d, is missing: install cuda-nvrtc of CUDA %d",
+                      table.driver_version / 1000, table.driver_version / 1000);
     HG_CUDA_NVRTC(TAKE)
     table.nvrtcVersion(&table.nvrtc_major, &table.nvrtc_minor);
     return HG_OK;
@@ -55,10 +71,13 @@ static hg_status take_nvrtc(void)
 
 static hg_status take_blas(void)
 {
-    static const char *const names[] = { "libcublas.so.13", "libcublas.so.12", "libcublas.so", NULL };
-    void *library = open_first(names);
-    if (!library) return refuse("cuBLAS is missing (%s or .12): install libcublas", names[0]);
+    void *library = open_toolkit("libcublas");
+    if (!library)
+        return refuse("cuBLAS, libcublas.so.%d, is missing: install libcublas of CUDA %d", table.driver_version / 1000,
+                      table.driver_version / 1000);
     HG_CUDA_BLAS(TAKE)
+    table.cublasGetProperty(MAJOR_VERSION, &table.blas_major);
+    table.cublasGetProperty(MINOR_VERSION, &table.blas_minor);
     return HG_OK;
 }
 
@@ -76,6 +95,8 @@ hg_status hg_cuda_library(const hg_cuda_api **api)
     *api = &table;
     return table_status == HG_OK ? HG_OK : hg_fail(table_status, "cuda: %s", table_message);
 }
+
+const char *hg_cuda_refusal(void) { return table_message; }
 
 hg_status hg_cuda_check(const hg_cuda_api *api, CUresult result, const char *what)
 {
