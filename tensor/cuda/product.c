@@ -93,6 +93,7 @@ hg_status hg_cuda_product(hg_device *device, int threads, hg_dtype dtype, bool t
         scale_product_args args = { c, n, ldc, beta, f64 };
         return device->launch(device, threads, &scale_product_kernel, m * n, &args);
     }
+    HG_TRY(hg_cuda_enter(d));
     HG_TRY(open_blas(d));
     const int type = f64 ? CUDA_R_64F : bf16 ? CUDA_R_16BF : CUDA_R_32F;
     if (bf16) {
