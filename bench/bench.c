@@ -1,6 +1,6 @@
 /* bench: measures every row, or those whose names are given, and prints the table.
  *
- *     bench [--rounds N] [--json FILE] [--plugin FILE] [NAME...]
+ *     bench [--device cpu|cuda] [--rounds N] [--json FILE] [--plugin FILE] [NAME...]
  *
  * NAME: a row, or an energy, also one of a plug-in, to be measured by itself.
  * Environment: PYTHON, the interpreter that has PyTorch and ONNX Runtime (default python3). */
@@ -43,11 +43,37 @@ int bench_steady(bench *b, const int64_t state[3])
            state[2] == (int64_t)hg_step_reserved(b->ctx[1]);
 }
 
+void *bench_get(const hg_tensor *tensor)
+{
+    void *values = hg_alloc(hg_tensor_bytes(tensor) + 1, 1);
+    bench_need(values ? hg_tensor_read(tensor, values) : HG_MEMORY);
+    return values;
+}
+
+void bench_put(hg_tensor *tensor, const void *values) { bench_need(hg_tensor_write(tensor, values)); }
+
+bool bench_same(const hg_tensor *a, const hg_tensor *b)
+{
+    void *x = bench_get(a), *y = bench_get(b);
+    const bool same = !memcmp(x, y, hg_tensor_bytes(a));
+    hg_free(x);
+    hg_free(y);
+    return same;
+}
+
+void bench_write_tensor(bench *b, const char *name, const hg_tensor *tensor)
+{
+    void *values = bench_get(tensor);
+    bench_write(b, name, tensor->dtype, tensor->rank, tensor->shape, values);
+    hg_free(values);
+}
+
 void bench_add(bench *b, const bench_result *result)
 {
     if (b->n == (int)(sizeof b->result / sizeof *b->result)) return;
     bench_result *r = &b->result[b->n++];
     *r = *result;
+    if (b->device) r->aim = 0; /* those are of the processor */
     if (r->other_ms > 0 && r->ours_ms > 0 && !r->at_most) r->ratio = r->other_ms / r->ours_ms;
     fprintf(stderr, "%-32s %-28s %10.3f   %-28s %10.3f   %6.2f\n", r->row, r->ours, r->ours_ms, r->other, r->other_ms,
             r->ratio);
@@ -61,10 +87,15 @@ static const char *reached(const bench_result *r)
 
 static void print_table(const bench *b)
 {
-    printf("%d threads; multiply-add %.0f GFLOP/s (f32), copying %.1f GB/s, measured in this run. Times in ms, medians "
-           "of runs "
+    char where[200];
+    snprintf(where, sizeof where, "%d threads", BENCH_THREADS);
+    hg_device_info devices[8];
+    const int n_devices = hg_devices(devices, 8);
+    for (int i = 0; i < n_devices && i < 8 && b->device; i++)
+        if (!strcmp(devices[i].name, b->device)) snprintf(where, sizeof where, "%s", devices[i].what);
+    printf("%s; multiply-add %.0f GFLOP/s (f32), copying %.1f GB/s, measured in this run. Times in ms, medians of runs "
            "in turn.\n\n",
-           BENCH_THREADS, 1e-9 * b->operations, 1e-9 * b->bytes);
+           where, 1e-9 * b->operations, 1e-9 * b->bytes);
     printf("| row | hairgrad | ms | beside it | ms | ratio | aim | reached | GFLOP/s (of peak) | GB/s (of copy) | same "
            "bits | steady |\n"
            "|---|---|---|---|---|---|---|---|---|---|---|---|\n");
@@ -87,7 +118,8 @@ static void print_table(const bench *b)
                r->other, other, ratio, aim, reached(r), operations, bytes, answers[r->same_bits + 1],
                answers[r->steady + 1]);
     }
-    printf("\nSame bits: results of 1 and 2 threads are equal. Steady: nothing was allocated while it was measured.\n");
+    printf("\nSame bits: results of %s are equal. Steady: nothing was allocated while it was measured.\n",
+           b->device ? "two runs" : "1 and 2 threads");
     for (int i = 0; i < b->n; i++) {
         if (!b->result[i].note[0] || (i && !strcmp(b->result[i].note, b->result[i - 1].note))) continue;
         printf("- %s: %s\n", b->result[i].row, b->result[i].note);
@@ -129,8 +161,8 @@ static void write_json(const bench *b, const char *path)
 
 static void usage(void)
 {
-    fprintf(stderr,
-            "usage: bench [--rounds N] [--json FILE] [--plugin FILE] [NAME...]; names are those of energies, and");
+    fprintf(stderr, "usage: bench [--device cpu|cuda] [--rounds N] [--json FILE] [--plugin FILE] [NAME...]; names are "
+                    "those of energies, and");
     for (int i = 0; i < ROWS; i++) fprintf(stderr, " %s", rows[i].name);
     fprintf(stderr, "\n");
     exit(2);
@@ -138,7 +170,10 @@ static void usage(void)
 
 static void start(bench *b)
 {
-    for (int c = 0; c < 2; c++) bench_need(hg_ctx_create(&b->ctx[c], &(hg_ctx_options){ .threads = c + 1, .seed = 1 }));
+    for (int c = 0; c < 2; c++)
+        bench_need(hg_ctx_create(
+            &b->ctx[c], &(hg_ctx_options){ .threads = b->device ? 2 : c + 1, .seed = 1, .device = b->device }));
+    bench_need(hg_ctx_create(&b->host, &(hg_ctx_options){ .threads = BENCH_THREADS, .seed = 1, .device = "cpu" }));
     snprintf(b->folder, sizeof b->folder, "%s/hairgrad-bench-XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
     if (!mkdtemp(b->folder)) {
         fprintf(stderr, "bench: %s: cannot be made\n", b->folder);
@@ -154,6 +189,7 @@ static void end(bench *b)
         hg_hair_task_destroy(b->task[c]);
         hg_ctx_destroy(b->ctx[c]);
     }
+    hg_ctx_destroy(b->host);
     snprintf(command, sizeof command, "rm -rf '%s'", b->folder);
     if (system(command) != 0) fprintf(stderr, "bench: %s is left behind\n", b->folder);
 }
@@ -189,6 +225,8 @@ int main(int count, char **words)
             json = words[++i];
         else if (!strcmp(words[i], "--plugin") && i + 1 < count)
             i++;
+        else if (!strcmp(words[i], "--device") && i + 1 < count)
+            b.device = strcmp(words[++i], "cpu") ? words[i] : NULL;
         else if (n_own < 32 && hg_find("energy", words[i]))
             own[n_own++] = words[i];
         else

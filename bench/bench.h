@@ -1,6 +1,6 @@
 /* bench: the table of speeds. One program: every row measures hairgrad, and beside it, in turn and on the same arrays,
  * what its user would take otherwise: PyTorch and ONNX Runtime in a process of their own (bench/peer.py), Embree in this
- * one. What is not installed is left out, and said.
+ * one. What is not installed is left out, and said. With --device cuda both sides run there, and no row has an aim.
  *
  *     static void network(bench *b) { ... bench_race(...); bench_add(...); }
  */
@@ -23,7 +23,9 @@ typedef struct {
 } bench_result;
 
 typedef struct bench {
-    hg_ctx *ctx[2];              /* of 1 and of 2 threads */
+    hg_ctx *ctx[2];              /* of 1 and of 2 threads; on a device: two of it */
+    hg_ctx *host;                /* of 2 threads, for what prepares */
+    const char *device;          /* NULL: the processor */
     double operations, bytes;    /* of the machine, per second, 2 threads, f32 */
     const char *source, *python; /* root of the source; program that runs the other side */
     char folder[256];            /* for arrays */
@@ -40,6 +42,10 @@ double bench_now(void);            /* ms */
 void bench_need(hg_status status); /* ends the program with the message where it is not HG_OK */
 void bench_add(bench *b, const bench_result *result);
 double bench_median(double *values, int n);
+void *bench_get(const hg_tensor *tensor); /* its numbers, wherever it is; hg_free */
+void bench_put(hg_tensor *tensor, const void *values);
+bool bench_same(const hg_tensor *a, const hg_tensor *b); /* bit by bit */
+void bench_write_tensor(bench *b, const char *name, const hg_tensor *tensor);
 
 /* Those who run in turn. `times` makes n measurements, in ms, after one that does not count. */
 typedef struct bench_side {

@@ -22,6 +22,7 @@ static void collide(void *self, double *ms, int n)
     for (int i = -1; i < n; i++) {
         const double start = bench_now();
         bench_need(hg_physics_evaluate(s->physics, s->ctx, &frame, s->x, &energy, NULL, s->gradient));
+        bench_need(hg_ctx_wait(s->ctx));
         if (i >= 0) ms[i] = bench_now() - start;
         hg_step_reset(s->ctx);
     }
@@ -35,7 +36,7 @@ static double find_h(bench *b, int64_t n, const float *x, double wanted, double 
     bench_need(hg_neighbours_create(&list, 0));
     for (int i = 0; i < 12; i++) {
         const double h = sqrt(low * high);
-        bench_need(hg_neighbours_build(b->ctx[1], list, HG_F32, n, x, 2 * h, NULL));
+        bench_need(hg_neighbours_build(b->host, list, HG_F32, n, x, 2 * h, NULL));
         *found = (double)hg_neighbours_start(list)[n] / (double)n;
         if (*found > wanted)
             high = h;
@@ -54,22 +55,26 @@ void bench_self_collision(bench *b)
     double *rest = hg_alloc((size_t)(3 * n), sizeof *rest), found;
     collision side[2];
     if (!rest) bench_need(HG_MEMORY);
-    const float *from = task->subset.rest->data;
-    for (int64_t i = 0; i < 3 * n; i++) rest[i] = (double)from[i];
+    float *from = bench_get(task->subset.rest), *x = hg_alloc((size_t)(3 * n), sizeof *x);
+    if (!x) bench_need(HG_MEMORY);
+    for (int64_t i = 0; i < 3 * n; i++) {
+        rest[i] = (double)from[i];
+        x[i] = (float)(rest[i] + 1e-3 * hg_random_normal(3, 0, (uint64_t)i));
+    }
+    hg_free(from);
     for (int c = 0; c < 2; c++) {
         side[c] = (collision){ .ctx = b->ctx[c],
                                .x = hg_tensor_create(b->ctx[c], HG_F32, 4, shape),
                                .gradient = hg_tensor_create(b->ctx[c], HG_F32, 4, shape) };
         if (!side[c].x || !side[c].gradient) bench_need(HG_MEMORY);
-        for (int64_t i = 0; i < 3 * n; i++)
-            ((float *)side[c].x->data)[i] = (float)(rest[i] + 1e-3 * hg_random_normal(3, 0, (uint64_t)i));
+        bench_put(side[c].x, x);
     }
-    const double h = find_h(b, n, side[1].x->data, 50, &found), params[HG_ENERGY_PARAMS] = { 1e-10, h };
+    const double h = find_h(b, n, x, 50, &found), params[HG_ENERGY_PARAMS] = { 1e-10, h };
     const hg_groom_data data = { .grooms = 1, .strands = S, .vertices = V, .rest = rest };
     const hg_term term = { hg_energy_find("self_collision"), 1, params, NULL };
     for (int c = 0; c < 2; c++) bench_need(hg_physics_create(&side[c].physics, b->ctx[c], HG_F32, &term, 1, &data));
     bench_write(b, "rest", HG_F64, 3, shape + 1, rest);
-    bench_write(b, "x", HG_F32, 4, shape, side[1].x->data);
+    bench_write_tensor(b, "x", side[1].x);
     bench_write(b, "h", HG_F64, 1, (int64_t[]){ 1 }, &h);
     bench_peer *peer = bench_peer_start(b, "self_collision", 100);
 
@@ -77,7 +82,7 @@ void bench_self_collision(bench *b)
     for (int c = 0; c < 2; c++) collide(&side[c], &ms, 1);
     int64_t state[3];
     bench_result r = { .row = "self_collision", .ours = "cells and gradient", .aim = 20 };
-    r.same_bits = memcmp(side[0].gradient->data, side[1].gradient->data, hg_tensor_bytes(side[0].gradient)) == 0;
+    r.same_bits = bench_same(side[0].gradient, side[1].gradient);
     bench_steady_begin(b, state);
     bench_side race[2] = { { "ours", collide, &side[1] } };
     int sides = 1;
@@ -102,6 +107,7 @@ void bench_self_collision(bench *b)
         hg_tensor_destroy(side[c].gradient);
     }
     hg_free(rest);
+    hg_free(x);
 }
 
 /* ---- body collision ----------------------------------------------------------------------------------------- */

@@ -21,6 +21,7 @@ static void evaluate(void *self, double *ms, int n)
         const double start = bench_now();
         for (int k = 0; k < s->n; k++)
             bench_need(hg_physics_evaluate(s->physics[k], s->ctx, s->frame, s->x, energies, NULL, s->gradient));
+        bench_need(hg_ctx_wait(s->ctx));
         if (i >= 0) ms[i] = bench_now() - start;
         hg_step_reset(s->ctx);
     }
@@ -53,6 +54,14 @@ static void make_scene(bench *b, scene *s, int64_t count)
     if (!s->rest) bench_need(HG_MEMORY);
     for (int64_t i = 0; i < n; i++)
         s->rest[i] = (i % 3 == 1 ? -4e-3 * (double)(i / 3 % VERTICES) : 0) + 1e-3 * hg_random_normal(1, 0, (uint64_t)i);
+    float *x = hg_alloc((size_t)n, sizeof *x), *predicted = hg_alloc((size_t)n, sizeof *predicted),
+          *rotation = hg_alloc((size_t)count, 4 * sizeof *rotation);
+    if (!x || !predicted || !rotation) bench_need(HG_MEMORY);
+    for (int64_t i = 0; i < n; i++) {
+        x[i] = (float)(s->rest[i] + 5e-4 * hg_random_normal(2, 0, (uint64_t)i));
+        predicted[i] = (float)(s->rest[i] + 5e-4 * hg_random_normal(2, 1, (uint64_t)i));
+    }
+    for (int64_t i = 0; i < count; i++) rotation[4 * i] = 1;
     s->data = (hg_groom_data){ .grooms = 1, .strands = count, .vertices = VERTICES, .rest = s->rest };
     for (int c = 0; c < 2; c++) {
         hg_ctx *ctx = b->ctx[c];
@@ -63,16 +72,17 @@ static void make_scene(bench *b, scene *s, int64_t count)
         s->position[c] = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 });
         if (!s->x[c] || !s->predicted[c] || !s->gradient[c] || !s->rotation[c] || !s->position[c])
             bench_need(HG_MEMORY);
-        for (int64_t i = 0; i < n; i++) {
-            ((float *)s->x[c]->data)[i] = (float)(s->rest[i] + 5e-4 * hg_random_normal(2, 0, (uint64_t)i));
-            ((float *)s->predicted[c]->data)[i] = (float)(s->rest[i] + 5e-4 * hg_random_normal(2, 1, (uint64_t)i));
-        }
-        for (int64_t i = 0; i < count; i++) ((float *)s->rotation[c]->data)[4 * i] = 1;
+        bench_put(s->x[c], x);
+        bench_put(s->predicted[c], predicted);
+        bench_put(s->rotation[c], rotation);
         s->frame[c] = (hg_frame){ .root_rotation = s->rotation[c],
                                   .root_position = s->position[c],
                                   .predicted = s->predicted[c],
                                   .dt = 1.0 / 30 };
     }
+    hg_free(x);
+    hg_free(predicted);
+    hg_free(rotation);
 }
 
 static void free_scene(scene *s)
@@ -89,7 +99,7 @@ static int same_bits(scene *s, strands *one, strands *two)
     double ms;
     evaluate(one, &ms, 1);
     evaluate(two, &ms, 1);
-    return memcmp(s->gradient[0]->data, s->gradient[1]->data, hg_tensor_bytes(s->gradient[0])) == 0;
+    return bench_same(s->gradient[0], s->gradient[1]);
 }
 
 /* Operations of a strand as the prototype counted them for these four energies; bytes: x, predicted and the gradient, and
@@ -114,8 +124,8 @@ static void energies_of(bench *b, int64_t count)
     side[3].physics[0] = make(b->ctx[0], 4, four, &s.data, HG_BACKEND_AUTO);
     const int64_t shape[4] = { 1, count, VERTICES, 3 };
     bench_write(b, "rest", HG_F64, 3, shape + 1, s.rest);
-    bench_write(b, "x", HG_F32, 4, shape, s.x[1]->data);
-    bench_write(b, "predicted", HG_F32, 4, shape, s.predicted[1]->data);
+    bench_write_tensor(b, "x", s.x[1]);
+    bench_write_tensor(b, "predicted", s.predicted[1]);
     bench_peer *peer = bench_peer_start(b, "energies", 150);
 
     const int bits = same_bits(&s, &side[3], &side[0]);

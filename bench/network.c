@@ -18,8 +18,11 @@ static hg_tensor *make(hg_ctx *ctx, int64_t rows, int64_t columns, double scale,
     hg_tensor *t = columns ? hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ rows, columns })
                            : hg_tensor_create(ctx, HG_F32, 1, &rows);
     if (!t) bench_need(HG_MEMORY);
+    float *values = bench_get(t);
     for (int64_t i = 0; i < hg_tensor_count(t); i++)
-        ((float *)t->data)[i] = (float)(scale * hg_random_normal(1, (uint64_t)(rows * 1000 + columns), (uint64_t)i));
+        values[i] = (float)(scale * hg_random_normal(1, (uint64_t)(rows * 1000 + columns), (uint64_t)i));
+    bench_put(t, values);
+    hg_free(values);
     if (learnt) bench_need(hg_require_grad(t));
     return t;
 }
@@ -36,6 +39,7 @@ static void run(void *self, double *ms, int n)
                                       hg_linear(s->ctx, s->frame, p[1], p[2], HG_IDENTITY), HG_SILU);
         hg_tensor *y = hg_linear(s->ctx, hg_linear(s->ctx, h, p[3], p[4], HG_SILU), p[5], p[6], HG_IDENTITY);
         bench_need(hg_backward_seeded(s->ctx, y, y));
+        bench_need(hg_ctx_wait(s->ctx));
         if (i >= 0) ms[i] = bench_now() - start;
     }
     bench_need(hg_ctx_compute(s->ctx, HG_F32));
@@ -47,8 +51,7 @@ static int same_bits(network *one, network *two)
     run(one, &ms, 1);
     run(two, &ms, 1);
     for (int i = 0; i < PARAMS; i++)
-        if (memcmp(hg_grad(one->param[i])->data, hg_grad(two->param[i])->data, hg_tensor_bytes(one->param[i])))
-            return 0;
+        if (!bench_same(hg_grad(one->param[i]), hg_grad(two->param[i]))) return 0;
     return 1;
 }
 
@@ -67,17 +70,18 @@ void bench_network(bench *b)
                 side[k][c].param[i] = make(ctx, shapes[i][0], shapes[i][1], shapes[i][0] > 300 ? 0.04 : 0.06, true);
         }
     static float all[STRANDS * (STRAND + FRAME)];
-    const float *strand = side[0][1].strand->data, *frame = side[0][1].frame->data;
+    float *strand = bench_get(side[0][1].strand), *frame = bench_get(side[0][1].frame);
     for (int s = 0; s < STRANDS; s++) {
         memcpy(all + s * (STRAND + FRAME), strand + s * STRAND, STRAND * sizeof(float));
         memcpy(all + s * (STRAND + FRAME) + STRAND, frame, FRAME * sizeof(float));
     }
+    hg_free(strand);
+    hg_free(frame);
     bench_write(b, "features", HG_F32, 2, (int64_t[]){ STRANDS, STRAND + FRAME }, all);
     for (int i = 0; i < PARAMS; i++) {
         char name[16];
         snprintf(name, sizeof name, "param%d", i);
-        const hg_tensor *t = side[0][1].param[i];
-        bench_write(b, name, HG_F32, t->rank, t->shape, t->data);
+        bench_write_tensor(b, name, side[0][1].param[i]);
     }
     bench_peer *peer = bench_peer_start(b, "network", 150);
     const bool has = hg_ctx_compute(b->ctx[1], HG_BF16) == HG_OK;

@@ -1,6 +1,6 @@
-"""The other side of ./run bench: PyTorch and ONNX Runtime on the arrays that bench wrote, two threads.
+"""The other side of ./run bench: PyTorch and ONNX Runtime on the arrays that bench wrote, two threads, or on a GPU.
 
-    peer.py ROW FOLDER
+    peer.py ROW FOLDER [cuda]
 
 Says "ready VARIANT ... | what it is" or "none reason", then answers "run VARIANT N" with N times in ms and "memory
 VARIANT" with bytes. Every function is written as one would write it in PyTorch: tensor operations over whole batches,
@@ -30,6 +30,7 @@ def say(text):
 
 
 row, folder = sys.argv[1], sys.argv[2]
+DEVICE = "cuda" if sys.argv[3:4] and sys.argv[3].startswith("cuda") else "cpu"
 try:
     import numpy as np
 except ImportError:
@@ -49,9 +50,11 @@ def inference():
         import onnxruntime
     except ImportError:
         return "ONNX Runtime is not installed", {}
+    if DEVICE == "cuda" and "CUDAExecutionProvider" not in onnxruntime.get_available_providers():
+        return "this ONNX Runtime has no CUDA provider", {}
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 2
-    session = onnxruntime.InferenceSession(f"{folder}/model.onnx", options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(f"{folder}/model.onnx", options, providers=["CUDAExecutionProvider" if DEVICE == "cuda" else "CPUExecutionProvider"])
     strands, columns = array("count")
     given = session.get_inputs()[0]
     features = np.random.default_rng(1).standard_normal((strands, columns), dtype=np.float32)
@@ -68,11 +71,19 @@ try:
 
         torch.set_num_threads(2)
         torch.manual_seed(1)
+        if DEVICE == "cuda" and not torch.cuda.is_available():
+            say("none this PyTorch finds no GPU")
+            sys.exit()
+        torch.set_default_device(DEVICE)
 except ImportError:
     say("none PyTorch is not installed")
     sys.exit()
 
 DT, STRETCH, BEND = 1 / 30, 2.0, 1e-8
+
+
+def tensor(name):
+    return torch.from_numpy(array(name)).to(DEVICE)
 
 
 def dot(a, b):
@@ -167,7 +178,7 @@ def variants(function, leaves, example=None):
 
 
 def energies():
-    rest_groom, x, predicted = (torch.from_numpy(array(n)).float() for n in ("rest", "x", "predicted"))
+    rest_groom, x, predicted = (tensor(n).float() for n in ("rest", "x", "predicted"))
     rest = Rest(rest_groom)
     x.requires_grad_()
     mass = torch.ones(rest_groom.shape[:2])
@@ -191,8 +202,8 @@ def density(x, h):
     """Sum of W over all neighbours within 2h and the vertex itself; the list by SciPy's tree, each pair once."""
     from scipy.spatial import cKDTree
 
-    points = x.detach().numpy()
-    pairs = torch.from_numpy(cKDTree(points).query_pairs(2 * h, output_type="ndarray"))
+    points = x.detach().cpu().numpy()
+    pairs = torch.from_numpy(cKDTree(points).query_pairs(2 * h, output_type="ndarray")).to(DEVICE)
     i, j = pairs[:, 0], pairs[:, 1]
     w = kernel((x[i] - x[j]).norm(dim=-1), h)
     return torch.full((len(points),), 4.0, dtype=x.dtype).index_add(0, i, w).index_add(0, j, w)
@@ -203,7 +214,7 @@ def self_collision():
         import scipy
     except ImportError:
         return "SciPy is not installed", {}
-    rest, x = torch.from_numpy(array("rest")).reshape(-1, 3), torch.from_numpy(array("x")).reshape(-1, 3)
+    rest, x = tensor("rest").reshape(-1, 3), tensor("x").reshape(-1, 3)
     h = float(array("h")[0])
     at_rest = density(rest, h).float()
     x.requires_grad_()
@@ -221,8 +232,8 @@ class Network(torch.nn.Module if "torch" in sys.modules else object):
         for k in range(0, len(weights), 2):
             layer = torch.nn.Linear(weights[k].shape[0], weights[k].shape[1])
             with torch.no_grad():
-                layer.weight.copy_(torch.from_numpy(weights[k].T.copy()))
-                layer.bias.copy_(torch.from_numpy(weights[k + 1]))
+                layer.weight.copy_(torch.from_numpy(weights[k].T.copy()).to(DEVICE))
+                layer.bias.copy_(torch.from_numpy(weights[k + 1]).to(DEVICE))
             self.layers.append(layer)
             if k + 2 < len(weights):
                 self.layers.append(torch.nn.SiLU())
@@ -234,14 +245,14 @@ class Network(torch.nn.Module if "torch" in sys.modules else object):
 def network():
     p = [array(f"param{i}") for i in range(7)]
     model = Network([np.concatenate([p[0], p[1]]), p[2], p[3], p[4], p[5], p[6]])
-    features = torch.from_numpy(array("features"))
+    features = tensor("features")
     parameters = list(model.parameters())
 
     def loss():
         return 0.5 * model(features).square().sum()
 
     def half():
-        with torch.autocast("cpu", dtype=torch.bfloat16):
+        with torch.autocast(DEVICE, dtype=torch.bfloat16):
             y = model(features)
         return 0.5 * y.float().square().sum()
 
@@ -259,22 +270,22 @@ def step():
     except ImportError:
         return "SciPy is not installed", {}
     names = ("strand", "rest", "inputs", "rotation", "position", "body", "body_distance")
-    strand, rest_groom, inputs, rotation, position, body, distance = (torch.from_numpy(array(n)) for n in names)
-    faces, mass, reference = torch.from_numpy(array("faces")).long(), array("mass"), float(array("reference")[0])
+    strand, rest_groom, inputs, rotation, position, body, distance = (tensor(n) for n in names)
+    faces, mass, reference = tensor("faces").long(), tensor("mass"), float(array("reference")[0])
     S, V, _ = rest_groom.shape
     rest = Rest(rest_groom)
     local = rest_groom - rest_groom[:, :1]
     ends = torch.cat([rest.length[:, :1], rest.length[:, 1:] + rest.length[:, :-1], rest.length[:, -1:]], 1)
-    mass = torch.from_numpy(mass).float()[:, None] * ends / ends.sum(1, keepdim=True)
+    mass = mass.float()[:, None] * ends / ends.sum(1, keepdim=True)
     style = 0.005 * (1 - (distance.clamp(min=0) / 8e-3).clamp(max=1))
     flat = rest_groom.reshape(-1, 3)
     at_rest = density(flat, 5e-3)
     # the five nearest vertices of other strands within 4.5 mm
-    away, near = cKDTree(flat.numpy()).query(flat.numpy(), k=40, distance_upper_bound=4.5e-3)
+    away, near = cKDTree(flat.cpu().numpy()).query(flat.cpu().numpy(), k=40, distance_upper_bound=4.5e-3)
     owner = np.arange(S * V)[:, None]
     good = (near < S * V) & (np.minimum(near, S * V - 1) // V != owner // V)
     good &= np.cumsum(good, 1) <= 5
-    pair_i, pair_j = (torch.from_numpy(a) for a in (np.broadcast_to(owner, near.shape)[good], near[good]))
+    pair_i, pair_j = (torch.from_numpy(a.copy()).to(DEVICE) for a in (np.broadcast_to(owner, near.shape)[good], near[good]))
     weights = []
     while os.path.exists(f"{folder}/model{len(weights)}.npy"):
         weights.append(array(f"model{len(weights)}"))
@@ -290,7 +301,7 @@ def step():
 
     def contact(x, centres):
         p = x.detach()
-        triangle = torch.from_numpy(centres.query(p.numpy())[1])
+        triangle = torch.from_numpy(centres.query(p.cpu().numpy())[1]).to(DEVICE)
         a, b, c = (body[faces[triangle, k]] for k in range(3))
         n = cross(b - a, c - a)
         n = n / n.norm(dim=-1, keepdim=True).clamp(min=1e-12)
@@ -303,7 +314,7 @@ def step():
             posed = position[2][:, None] + rotate(rotation[2][:, None], local)
         x = place(2)
         points = x.reshape(-1, 3)
-        centres = cKDTree(body[faces].mean(1).numpy())
+        centres = cKDTree(body[faces].mean(1).cpu().numpy())
         energy = stretch(x, rest) + bend_twist(x, rest, rotation[2])
         energy = energy - (mass * (x @ g)).sum() + (mass * ((x - predicted) ** 2).sum(-1)).sum() / (2 * DT * DT)
         energy = energy + 30 * ((5e-3 - contact(points, centres)).clamp(min=0) ** 3).sum()
@@ -349,9 +360,12 @@ for line in sys.stdin:
         say(str(resident("VmHWM") - memory.get("before", 0)))
         continue
     side, times = sides[words[1]], []
+    wait = torch.cuda.synchronize if DEVICE == "cuda" and row != "inference" else lambda: None
     side()
     for _ in range(int(words[2])):
+        wait()
         start = time.perf_counter()
         side()
+        wait()
         times.append(1e3 * (time.perf_counter() - start))
     say(" ".join(f"{t:.4f}" for t in times))

@@ -111,7 +111,7 @@ bench_peer *bench_peer_start(bench *b, const char *row, int patience)
         setenv("OMP_NUM_THREADS", "2", 1);
         unsetenv("OMP_WAIT_POLICY"); /* ours: its user would not set them */
         unsetenv("GOMP_SPINCOUNT");
-        execlp(b->python, b->python, script, row, b->folder, (char *)NULL);
+        execlp(b->python, b->python, script, row, b->folder, b->device, (char *)NULL); /* a device of NULL is the end */
         _exit(127);
     }
     close(to[0]);
