@@ -1,4 +1,5 @@
 /* activate: an activation on its own; cast: between float types, with gradient; convert: to i32 and bf16, without. */
+#include "autograd/activate.kernel.h"
 #include "autograd/activation.h"
 
 #include <string.h>
@@ -9,14 +10,6 @@ typedef struct {
     hg_activation activation;
 } activate_attributes;
 
-typedef struct {
-    hg_dtype dtype;
-    hg_activation activation;
-    const void *x, *g, *saved;
-    void *out, *derivative;
-    bool fresh;
-} activate_args;
-
 static hg_tensor *activate_shape(hg_call *call)
 {
     const activate_attributes *attributes = call->attributes;
@@ -26,69 +19,30 @@ static hg_tensor *activate_shape(hg_call *call)
     return hg_out_like(call, call->in[0]);
 }
 
-#define ACTIVATE(REAL, SUFFIX)                                                                                         \
-    static void activate_forward_##SUFFIX(const activate_args *p, int64_t first, int64_t n)                            \
-    {                                                                                                                  \
-        activate_##SUFFIX(p->activation, n, (const REAL *)p->x + first, NULL, (REAL *)p->out + first,                  \
-                          p->derivative ? (REAL *)p->derivative + first : NULL);                                       \
-    }                                                                                                                  \
-    static void activate_gradient_##SUFFIX(const activate_args *p, int64_t first, int64_t n)                           \
-    {                                                                                                                  \
-        const REAL *g = (const REAL *)p->g + first, *saved = (const REAL *)p->saved + first;                           \
-        REAL *out = (REAL *)p->out + first, part[256];                                                                 \
-        if (p->fresh) {                                                                                                \
-            activate_backward_##SUFFIX(p->activation, n, g, saved, out);                                               \
-            return;                                                                                                    \
-        }                                                                                                              \
-        for (int64_t i = 0; i < n; i += 256) {                                                                         \
-            int64_t m = n - i < 256 ? n - i : 256;                                                                     \
-            activate_backward_##SUFFIX(p->activation, m, g + i, saved + i, part);                                      \
-            for (int64_t j = 0; j < m; j++) out[i + j] += part[j];                                                     \
-        }                                                                                                              \
-    }
-ACTIVATE(float, f32)
-ACTIVATE(double, f64)
-
-static void activate_forward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const activate_args *p = memory;
-    (p->dtype == HG_F32 ? activate_forward_f32 : activate_forward_f64)(p, first, last - first);
-}
-
-static void activate_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const activate_args *p = memory;
-    (p->dtype == HG_F32 ? activate_gradient_f32 : activate_gradient_f64)(p, first, last - first);
-}
-
 static hg_status activate_forward(hg_call *call)
 {
-    static const hg_kernel kernel = { .name = "activate",
-                                      .args_size = sizeof(activate_args),
-                                      .cpu = activate_forward_cpu };
-    activate_args args = { .dtype = call->out->dtype,
-                           .activation = ((const activate_attributes *)call->attributes)->activation,
+    activate_args args = { .activation = (int)((const activate_attributes *)call->attributes)->activation,
                            .x = call->in[0]->data,
                            .out = call->out->data };
-    if (hg_activation_saves_derivative(args.activation) && hg_call_recorded(call)) {
+    if (hg_activation_saves_derivative((hg_activation)args.activation) && hg_call_recorded(call)) {
         call->saved[0] = hg_out_like(call, call->out);
         if (!call->saved[0]) return HG_MEMORY;
         args.derivative = call->saved[0]->data;
     }
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->out), &args);
+    return hg_launch(call->ctx, activate_forward_kernels[call->out->dtype == HG_F64], hg_tensor_count(call->out),
+                     &args);
 }
 
 static hg_status activate_backward(hg_call *call)
 {
-    static const hg_kernel kernel = { .name = "activate",
-                                      .args_size = sizeof(activate_args),
-                                      .cpu = activate_backward_cpu };
-    activate_args args = { .dtype = call->out->dtype,
-                           .activation = ((const activate_attributes *)call->attributes)->activation,
+    bool fresh;
+    activate_args args = { .activation = (int)((const activate_attributes *)call->attributes)->activation,
                            .g = hg_grad(call->out)->data,
                            .saved = call->saved[0] ? call->saved[0]->data : call->out->data };
-    args.out = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->out), &args);
+    args.out = hg_grad_data(call->in[0], &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, activate_backward_of_kernels[call->out->dtype == HG_F64], hg_tensor_count(call->out),
+                     &args);
 }
 
 static void activate_reference(const hg_call *call, double *out)

@@ -54,8 +54,10 @@ bool hg_broadcast_plan(const hg_call *call, int item_axes, hg_broadcast *plan, i
     return true;
 }
 
+/* ---- how a gradient is added up ---- */
+
 /* At most 64 chunks, of at least 4096 items, and copies of together at most twice the size of the output. */
-hg_broadcast_chunks hg_broadcast_cut(const hg_broadcast *plan, int input)
+static hg_broadcast_sum cut_for_cpu(const hg_broadcast *plan, int input)
 {
     int64_t chunks = (plan->count + 4095) / 4096, in_count = plan->in_count[input] > 0 ? plan->in_count[input] : 1;
     if (chunks > 64) chunks = 64;
@@ -63,122 +65,108 @@ hg_broadcast_chunks hg_broadcast_cut(const hg_broadcast *plan, int input)
     if (chunks < 1) chunks = 1;
     int64_t length = (plan->count + chunks - 1) / chunks;
     if (length < 1) length = 1;
-    return (hg_broadcast_chunks){ (plan->count + length - 1) / length, length };
+    return (hg_broadcast_sum){ .chunks = (plan->count + length - 1) / length, .length = length, .tiles = 1 };
+}
+
+/* The smallest power of two from n on, at most `most`. */
+static int64_t power_of_two(int64_t n, int64_t most)
+{
+    int64_t power = 1;
+    while (power < n && power < most) power *= 2;
+    return power;
+}
+
+/* Blocks of threads that read stretches of neighbours, at least 16 items a thread, and no more than about 2048 blocks. */
+static hg_broadcast_sum cut_for_gpu(const hg_broadcast *plan, int input)
+{
+    hg_broadcast_sum sum = { .rank = 0, .inside = plan->in_count[input] };
+    sum.outside = plan->count / sum.inside;
+    for (int kept = 1; kept >= 0; kept--) {
+        int64_t position = 1;
+        int64_t strides[HG_MAX_RANK + 1];
+        for (int i = plan->rank; i >= 0; i--) {
+            strides[i] = position;
+            position *= i == plan->rank ? plan->segment : plan->size[i];
+        }
+        for (int i = 0; i <= plan->rank; i++) {
+            const bool last = i == plan->rank;
+            const int64_t step[2] = { last ? plan->step[0] : plan->stride[0][i],
+                                      last ? plan->step[1] : plan->stride[1][i] };
+            if ((step[input] != 0) != kept) continue;
+            sum.size[sum.rank] = last ? plan->segment : plan->size[i];
+            sum.stride[sum.rank][0] = step[0];
+            sum.stride[sum.rank][1] = step[1];
+            sum.stride[sum.rank][2] = strides[i];
+            sum.rank++;
+        }
+        if (kept) sum.kept = sum.rank;
+    }
+    const int64_t together = plan->step[input] ? power_of_two(sum.inside, 32) : 1;
+    const int64_t rows = power_of_two(sum.outside, HG_SUM_THREADS / together);
+    sum.lanes = HG_SUM_THREADS / rows;
+    sum.tiles = (sum.inside + sum.lanes - 1) / sum.lanes;
+    int64_t chunks = (sum.outside + 16 * rows - 1) / (16 * rows), most = 2048 / sum.tiles;
+    if (chunks > most) chunks = most > 0 ? most : 1;
+    sum.length = (sum.outside + chunks - 1) / chunks;
+    sum.chunks = (sum.outside + sum.length - 1) / sum.length;
+    return sum;
 }
 
 /* ---- ops of two broadcast inputs ---- */
 
-typedef struct {
-    hg_broadcast plan;
-    const hg_pair_functions *functions;
-    int real, input;                  /* 0: f32, 1: f64; the input whose gradient is made */
-    int64_t width, size[2], out_size; /* elements of an item of a; bytes of the items */
-    int64_t chunk;
-    bool fresh;
-    const char *a, *b, *g;
-    char *out;
-} pair_args;
-
-static void pair_forward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const pair_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    hg_walk walk;
-    for (hg_walk_begin(&walk, plan, first); walk.position < last;) {
-        int64_t n = hg_walk_length(&walk, plan, last);
-        p->functions->forward[p->real](n, p->a + walk.at[0] * p->size[0], plan->step[0], p->b + walk.at[1] * p->size[1],
-                                       plan->step[1], p->out + walk.position * p->out_size, p->width);
-        hg_walk_next(&walk, plan, n);
-    }
-}
-
-/* The input was not broadcast: its gradient lies like the output. */
-static void pair_direct_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const pair_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    hg_walk walk;
-    for (hg_walk_begin(&walk, plan, first); walk.position < last;) {
-        int64_t n = hg_walk_length(&walk, plan, last);
-        p->functions->gradient[p->input][p->real](n, p->g + walk.position * p->out_size, p->a + walk.at[0] * p->size[0],
-                                                  plan->step[0], p->b + walk.at[1] * p->size[1], plan->step[1],
-                                                  p->out + walk.position * p->size[p->input], 1, p->fresh, p->width);
-        hg_walk_next(&walk, plan, n);
-    }
-}
-
-static void pair_chunk_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const pair_args *p = memory;
-    const hg_broadcast *plan = &p->plan;
-    for (int64_t chunk = first; chunk < last; chunk++) {
-        char *copy = p->out + chunk * plan->in_count[p->input] * p->size[p->input];
-        memset(copy, 0, (size_t)(plan->in_count[p->input] * p->size[p->input]));
-        int64_t end = (chunk + 1) * p->chunk < plan->count ? (chunk + 1) * p->chunk : plan->count;
-        hg_walk walk;
-        for (hg_walk_begin(&walk, plan, chunk * p->chunk); walk.position < end;) {
-            int64_t n = hg_walk_length(&walk, plan, end);
-            p->functions->gradient[p->input][p->real](
-                n, p->g + walk.position * p->out_size, p->a + walk.at[0] * p->size[0], plan->step[0],
-                p->b + walk.at[1] * p->size[1], plan->step[1], copy + walk.at[p->input] * p->size[p->input],
-                plan->step[p->input], false, p->width);
-            hg_walk_next(&walk, plan, n);
-        }
-    }
-}
-
-static pair_args pair_arguments(const hg_call *call, const hg_pair_functions *functions)
+static hg_pair_args pair_arguments(const hg_call *call, int item_axes)
 {
     const hg_tensor *a = call->in[0], *b = call->in[1];
-    pair_args args = { .functions = functions, .real = call->out->dtype == HG_F64, .width = 1 };
+    hg_pair_args args = { .width = item_axes ? a->shape[a->rank - 1] : 1, .a = a->data, .b = b->data };
     int rank;
-    int64_t shape[HG_MAX_RANK], real = (int64_t)hg_dtype_size(a->dtype);
-    hg_broadcast_plan(call, functions->item_axes, &args.plan, &rank, shape); /* checked by the shape rule */
-    if (functions->item_axes) args.width = a->shape[a->rank - 1];
-    args.size[0] = args.width * real;
-    args.size[1] = functions->item_axes ? b->shape[b->rank - 1] * real : real;
-    args.out_size = functions->item_axes ? functions->out_width * real : real;
-    args.a = a->data;
-    args.b = b->data;
+    int64_t shape[HG_MAX_RANK];
+    hg_broadcast_plan(call, item_axes, &args.plan, &rank, shape); /* checked by the shape rule */
     return args;
 }
 
-hg_status hg_pair_forward(hg_call *call, const hg_pair_functions *functions)
+hg_status hg_pair_forward(hg_call *call, int item_axes, const hg_pair_kernels *kernels)
 {
-    static const hg_kernel kernel = { .name = "pair", .args_size = sizeof(pair_args), .cpu = pair_forward_cpu };
-    pair_args args = pair_arguments(call, functions);
-    args.out = call->out->data;
-    return hg_launch(call->ctx, &kernel, args.plan.count, &args);
+    hg_pair_args args = pair_arguments(call, item_axes);
+    args.to = call->out->data;
+    return hg_launch(call->ctx, kernels->forward[call->out->dtype == HG_F64], args.plan.count, &args);
 }
 
-hg_status hg_pair_backward(hg_call *call, const hg_pair_functions *functions)
+/* The input was broadcast: partial sums, and their sum. */
+static hg_status backward_by_sums(hg_call *call, const hg_kernel *kernel, hg_pair_args *args, int input, void *gradient)
 {
-    static const hg_kernel direct = { .name = "pair", .args_size = sizeof(pair_args), .cpu = pair_direct_cpu };
-    static const hg_kernel chunked = {
-        .name = "pair", .args_size = sizeof(pair_args), .cpu = pair_chunk_cpu, .block = 1
-    };
-    pair_args args = pair_arguments(call, functions);
+    hg_tensor *in = call->in[input];
+    const bool fresh = args->fresh;
+    args->sum = hg_ctx_host(call->ctx) ? cut_for_cpu(&args->plan, input) : cut_for_gpu(&args->plan, input);
+    const int64_t blocks = args->sum.chunks * args->sum.tiles;
+    args->to = gradient;
+    if (args->sum.chunks == 1 && !hg_ctx_host(call->ctx)) return hg_launch(call->ctx, kernel, blocks, args);
+    hg_step_mark mark = hg_step_set_mark(call->ctx);
+    const int64_t size = hg_tensor_count(in);
+    hg_tensor *partial = hg_tensor_make(call->ctx, in->dtype, 2, (int64_t[]){ args->sum.chunks, size });
+    if (!partial) return HG_MEMORY;
+    args->to = partial->data;
+    args->fresh = true;
+    HG_TRY(hg_launch(call->ctx, kernel, blocks, args));
+    HG_TRY(hg_add_partials(call->ctx, in->dtype, args->sum.chunks, size, partial->data, gradient, fresh));
+    hg_step_rewind(call->ctx, mark);
+    return HG_OK;
+}
+
+hg_status hg_pair_backward(hg_call *call, int item_axes, const hg_pair_kernels *kernels)
+{
+    hg_pair_args args = pair_arguments(call, item_axes);
+    const int real = call->out->dtype == HG_F64;
     args.g = hg_grad(call->out)->data;
     if (args.plan.count == 0) return HG_OK;
-    for (args.input = 0; args.input < 2; args.input++) {
-        hg_tensor *in = call->in[args.input];
-        if (!hg_needs_grad(in)) continue;
-        char *gradient = hg_grad_data(in, &args.fresh);
-        if (args.plan.in_count[args.input] == args.plan.count) {
-            args.out = gradient;
-            HG_TRY(hg_launch(call->ctx, &direct, args.plan.count, &args));
-            continue;
-        }
-        hg_broadcast_chunks cut = hg_broadcast_cut(&args.plan, args.input);
-        int64_t size = args.plan.in_count[args.input] * args.size[args.input] / (int64_t)hg_dtype_size(in->dtype);
-        hg_step_mark mark = hg_step_set_mark(call->ctx);
-        hg_tensor *copies = hg_tensor_make(call->ctx, in->dtype, 2, (int64_t[]){ cut.chunks, size });
-        if (!copies) return HG_MEMORY;
-        args.out = copies->data;
-        args.chunk = cut.length;
-        HG_TRY(hg_launch(call->ctx, &chunked, cut.chunks, &args));
-        HG_TRY(hg_add_partials(call->ctx, in->dtype, cut.chunks, size, copies->data, gradient, args.fresh));
-        hg_step_rewind(call->ctx, mark);
+    for (int input = 0; input < 2; input++) {
+        bool fresh;
+        if (!hg_needs_grad(call->in[input])) continue;
+        args.to = hg_grad_data(call->in[input], &fresh);
+        args.fresh = fresh;
+        if (args.plan.in_count[input] == args.plan.count)
+            HG_TRY(hg_launch(call->ctx, kernels->gradient[input][real], args.plan.count, &args));
+        else
+            HG_TRY(backward_by_sums(call, kernels->sum[input][real], &args, input, args.to));
     }
     return HG_OK;
 }

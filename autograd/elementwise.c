@@ -1,20 +1,8 @@
 /* Elementwise ops: add, sub, mul, div, minimum, maximum (broadcasting), scale, square, sqrt, exp, log, abs, clamp,
  * activate, cast. Conventions at the kinks: ties of minimum and maximum go to a; sqrt and abs have gradient 0 at 0. */
-#include "autograd/floats.h"
-#include "autograd/broadcast.h"
+#include "autograd/elementwise.kernel.h"
 
 #include <string.h>
-
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/elementwise.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/elementwise.inc"
-#undef REAL
-#undef SUFFIX
 
 /* ---- binary ---- */
 
@@ -77,12 +65,8 @@ static const hg_sample tie_pairs[] = {
 };
 
 #define BINARY_OP(NAME_, FORMULA_, ONNX_, SAMPLES_, ...)                                                               \
-    static const hg_pair_functions NAME_##_functions = {                                                               \
-        .forward = { NAME_##_forward_f32, NAME_##_forward_f64 },                                                       \
-        .gradient = { { NAME_##_da_f32, NAME_##_da_f64 }, { NAME_##_db_f32, NAME_##_db_f64 } },                        \
-    };                                                                                                                 \
-    static hg_status NAME_##_forward(hg_call *call) { return hg_pair_forward(call, &NAME_##_functions); }              \
-    static hg_status NAME_##_backward(hg_call *call) { return hg_pair_backward(call, &NAME_##_functions); }            \
+    static hg_status NAME_##_forward(hg_call *call) { return hg_pair_forward(call, 0, &NAME_##_kernels); }             \
+    static hg_status NAME_##_backward(hg_call *call) { return hg_pair_backward(call, 0, &NAME_##_kernels); }           \
     static void NAME_##_reference(const hg_call *call, double *out) { binary_reference(call, out, NAME_##_of); }       \
     static hg_status NAME_##_emit(const hg_call *call, hg_emitter *e) { return hg_emit_one(call, e, ONNX_); }          \
     HG_OP(NAME_, .formula = FORMULA_, .min_in = 2, .max_in = 2, .shape = binary_shape, .forward = NAME_##_forward,     \
@@ -102,69 +86,34 @@ BINARY_OP(maximum, "max(a, b), ties to a", "Max", tie_pairs, .kink = tie_kink)
 
 /* ---- unary ---- */
 
-typedef void unary_forward_function(int64_t n, const void *x, void *y, const double *numbers);
-typedef void unary_backward_function(int64_t n, const void *g, const void *x, const void *y, void *d, bool fresh,
-                                     const double *numbers);
-typedef struct {
-    unary_forward_function *forward[2];
-    unary_backward_function *backward[2];
-} unary_functions;
-
 typedef struct {
     double numbers[2];
 } unary_attributes;
 
-typedef struct {
-    const unary_functions *functions;
-    int real;
-    int64_t size;
-    double numbers[2];
-    const char *x, *y, *g;
-    char *to;
-    bool fresh;
-} unary_args;
-
 static hg_tensor *unary_shape(hg_call *call) { return hg_floats_agree(call) ? hg_out_like(call, call->in[0]) : NULL; }
 
-static void unary_forward_cpu(const void *memory, int64_t first, int64_t last)
+static unary_args unary_arguments(const hg_call *call)
 {
-    const unary_args *p = memory;
-    p->functions->forward[p->real](last - first, p->x + first * p->size, p->to + first * p->size, p->numbers);
-}
-
-static void unary_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const unary_args *p = memory;
-    int64_t at = first * p->size;
-    p->functions->backward[p->real](last - first, p->g + at, p->x + at, p->y + at, p->to + at, p->fresh, p->numbers);
-}
-
-static unary_args unary_arguments(const hg_call *call, const unary_functions *functions)
-{
-    unary_args args = { .functions = functions,
-                        .real = call->out->dtype == HG_F64,
-                        .size = (int64_t)hg_dtype_size(call->out->dtype),
-                        .x = call->in[0]->data,
-                        .y = call->out->data };
+    unary_args args = { .x = call->in[0]->data, .y = call->out->data };
     if (call->attributes) memcpy(args.numbers, call->attributes, sizeof args.numbers);
     return args;
 }
 
-static hg_status unary_forward(hg_call *call, const unary_functions *functions)
+static hg_status unary_forward(hg_call *call, const hg_kernel *const *kernels)
 {
-    static const hg_kernel kernel = { .name = "unary", .args_size = sizeof(unary_args), .cpu = unary_forward_cpu };
-    unary_args args = unary_arguments(call, functions);
+    unary_args args = unary_arguments(call);
     args.to = call->out->data;
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->out), &args);
+    return hg_launch(call->ctx, kernels[call->out->dtype == HG_F64], hg_tensor_count(call->out), &args);
 }
 
-static hg_status unary_backward(hg_call *call, const unary_functions *functions)
+static hg_status unary_backward(hg_call *call, const hg_kernel *const *kernels)
 {
-    static const hg_kernel kernel = { .name = "unary", .args_size = sizeof(unary_args), .cpu = unary_backward_cpu };
-    unary_args args = unary_arguments(call, functions);
+    bool fresh;
+    unary_args args = unary_arguments(call);
     args.g = hg_grad(call->out)->data;
-    args.to = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, hg_tensor_count(call->out), &args);
+    args.to = hg_grad_data(call->in[0], &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, kernels[call->out->dtype == HG_F64], hg_tensor_count(call->out), &args);
 }
 
 #define UNARY_SAMPLES(low_, high_, ...)                                                                                \
@@ -176,10 +125,8 @@ static hg_status unary_backward(hg_call *call, const unary_functions *functions)
     }
 
 #define UNARY_OP(NAME_, FORMULA_, SIZE_, SAMPLES_, KINK_)                                                              \
-    static const unary_functions NAME_##_functions = { { NAME_##_forward_f32, NAME_##_forward_f64 },                   \
-                                                       { NAME_##_backward_f32, NAME_##_backward_f64 } };               \
-    static hg_status NAME_##_forward(hg_call *call) { return unary_forward(call, &NAME_##_functions); }                \
-    static hg_status NAME_##_backward(hg_call *call) { return unary_backward(call, &NAME_##_functions); }              \
+    static hg_status NAME_##_forward(hg_call *call) { return unary_forward(call, NAME_##_forward_kernels); }           \
+    static hg_status NAME_##_backward(hg_call *call) { return unary_backward(call, NAME_##_backward_kernels); }        \
     static void NAME_##_reference(const hg_call *call, double *out)                                                    \
     {                                                                                                                  \
         for (int64_t i = 0; i < hg_tensor_count(call->in[0]); i++)                                                     \

@@ -10,11 +10,7 @@
 
 /* Before a loop that has to become vectors. In f64 the C library's functions are called one by one, so there it is only
  * the compiler's choice: HG_SIMD is empty while the f64 kernels are included. */
-#ifdef HG_CUDA
-#define HG_SIMD_f32
-#else
 #define HG_SIMD_f32 HG_SIMD_
-#endif
 #define HG_SIMD_f64
 #define HG_SIMD HG_PASTE(HG_SIMD, SUFFIX)
 

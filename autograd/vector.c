@@ -1,29 +1,9 @@
 /* Vectors and quaternions along the last axis: dot, norm, normalize, cross; quat_mul, quat_conjugate, quat_rotate and
  * transport (the rotation that carries one unit vector to another). Quaternions are (w,x,y,z), Hamilton's product.
  * Pairs broadcast over the leading axes. A zero vector has norm 0, direction 0, and no gradient. */
-#include "autograd/broadcast.h"
-#include "autograd/floats.h"
+#include "autograd/vector.kernel.h"
 
 #include <string.h>
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t width;
-    const void *x, *g;
-    void *y, *d;
-    bool fresh;
-} row_args;
-
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/vector.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/vector.inc"
-#undef REAL
-#undef SUFFIX
 
 /* ---- shapes ---- */
 
@@ -182,15 +162,9 @@ static const hg_sample transport_samples[] = {
               { 2, { 2, 3 }, .values = (const double[]){ 0.6, 0, 0.8, -1, 0.003, 0 } } } },
 };
 
-#define PAIR_OP(NAME_, FORMULA_, WIDTH_, EMIT_)                                                                        \
-    static const hg_pair_functions NAME_##_functions = {                                                               \
-        .item_axes = 1,                                                                                                \
-        .out_width = WIDTH_,                                                                                           \
-        .forward = { NAME_##_forward_f32, NAME_##_forward_f64 },                                                       \
-        .gradient = { { NAME_##_da_f32, NAME_##_da_f64 }, { NAME_##_db_f32, NAME_##_db_f64 } },                        \
-    };                                                                                                                 \
-    static hg_status NAME_##_forward(hg_call *call) { return hg_pair_forward(call, &NAME_##_functions); }              \
-    static hg_status NAME_##_backward(hg_call *call) { return hg_pair_backward(call, &NAME_##_functions); }            \
+#define PAIR_OP(NAME_, FORMULA_, EMIT_)                                                                                \
+    static hg_status NAME_##_forward(hg_call *call) { return hg_pair_forward(call, 1, &NAME_##_kernels); }             \
+    static hg_status NAME_##_backward(hg_call *call) { return hg_pair_backward(call, 1, &NAME_##_kernels); }           \
     HG_OP(NAME_, .formula = FORMULA_, .min_in = 2, .max_in = 2, .shape = NAME_##_shape, .forward = NAME_##_forward,    \
           .backward = NAME_##_backward, .samples = NAME_##_samples,                                                    \
           .n_samples = sizeof NAME_##_samples / sizeof *NAME_##_samples, .reference = NAME_##_reference,               \
@@ -200,42 +174,37 @@ static const hg_sample transport_samples[] = {
         return hg_apply(ctx, &op_##NAME_, 2, (hg_tensor *[]){ a, b }, NULL);                                           \
     }
 
-PAIR_OP(dot, "a . b along the last axis", 1, dot_emit)
-PAIR_OP(cross, "a x b", 3, cross_emit)
-PAIR_OP(quat_mul, "a b", 4, quat_mul_emit)
-PAIR_OP(quat_rotate, "q v conj(q)", 3, quat_rotate_emit)
-PAIR_OP(transport, "(a.h, a x h), h = (a + b) / sqrt(max(|a + b|^2, 1e-4))", 4, transport_emit)
+PAIR_OP(dot, "a . b along the last axis", dot_emit)
+PAIR_OP(cross, "a x b", cross_emit)
+PAIR_OP(quat_mul, "a b", quat_mul_emit)
+PAIR_OP(quat_rotate, "q v conj(q)", quat_rotate_emit)
+PAIR_OP(transport, "(a.h, a x h), h = (a + b) / sqrt(max(|a + b|^2, 1e-4))", transport_emit)
 
 /* ---- rows ---- */
 
-typedef struct {
-    void (*f32)(const row_args *, int64_t, int64_t), (*f64)(const row_args *, int64_t, int64_t);
-} row_functions;
-
-typedef struct {
-    row_args row;
-    const row_functions *functions;
-} row_call;
-
-static void row_cpu(const void *memory, int64_t first, int64_t last)
+static int64_t rows_of(const hg_tensor *x)
 {
-    const row_call *p = memory;
-    (p->row.dtype == HG_F32 ? p->functions->f32 : p->functions->f64)(&p->row, first, last);
-}
-
-static hg_status run_rows(hg_call *call, const row_functions *functions, bool backward)
-{
-    static const hg_kernel kernel = { .name = "rows", .args_size = sizeof(row_call), .cpu = row_cpu, .block = 512 };
-    hg_tensor *x = call->in[0];
-    row_call args = { .functions = functions };
-    args.row = (row_args){ .dtype = x->dtype, .width = x->shape[x->rank - 1], .x = x->data, .y = call->out->data };
-    if (backward) {
-        args.row.g = hg_grad(call->out)->data;
-        args.row.d = hg_grad_data(x, &args.row.fresh);
-    }
     int64_t rows = 1;
     for (int i = 0; i + 1 < x->rank; i++) rows *= x->shape[i];
-    return hg_launch(call->ctx, &kernel, rows, &args);
+    return rows;
+}
+
+static hg_status rows_forward(hg_call *call, const hg_kernel *const *kernels)
+{
+    const hg_tensor *x = call->in[0];
+    const row_args args = { .width = x->shape[x->rank - 1], .x = x->data, .y = call->out->data };
+    return hg_launch(call->ctx, kernels[x->dtype == HG_F64], rows_of(x), &args);
+}
+
+static hg_status rows_backward(hg_call *call, const hg_kernel *const *kernels)
+{
+    hg_tensor *x = call->in[0];
+    bool fresh;
+    row_args args = { .width = x->shape[x->rank - 1], .x = x->data, .y = call->out->data };
+    args.g = hg_grad(call->out)->data;
+    args.d = hg_grad_data(x, &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, kernels[x->dtype == HG_F64], rows_of(x), &args);
 }
 
 static hg_tensor *norm_shape(hg_call *call)
@@ -336,16 +305,8 @@ static const hg_sample quat_conjugate_samples[] = {
 };
 
 #define ROW_OP(NAME_, FORMULA_, SAMPLES_, KINK_)                                                                       \
-    static hg_status NAME_##_forward(hg_call *call)                                                                    \
-    {                                                                                                                  \
-        static const row_functions functions = { NAME_##_forward_f32, NAME_##_forward_f64 };                           \
-        return run_rows(call, &functions, false);                                                                      \
-    }                                                                                                                  \
-    static hg_status NAME_##_backward(hg_call *call)                                                                   \
-    {                                                                                                                  \
-        static const row_functions functions = { NAME_##_backward_f32, NAME_##_backward_f64 };                         \
-        return run_rows(call, &functions, true);                                                                       \
-    }                                                                                                                  \
+    static hg_status NAME_##_forward(hg_call *call) { return rows_forward(call, NAME_##_forward_kernels); }            \
+    static hg_status NAME_##_backward(hg_call *call) { return rows_backward(call, NAME_##_backward_kernels); }         \
     HG_OP(NAME_, .formula = FORMULA_, .min_in = 1, .max_in = 1, .shape = NAME_##_shape, .forward = NAME_##_forward,    \
           .backward = NAME_##_backward, .samples = SAMPLES_, .n_samples = sizeof SAMPLES_ / sizeof *SAMPLES_,          \
           .reference = NAME_##_reference, .kink = KINK_, .emit = NAME_##_emit);                                        \

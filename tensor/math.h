@@ -92,6 +92,13 @@ HG_BODY float hg_softplus_f32(float x)
 }
 HG_BODY double hg_softplus_f64(double x) { return (x > 0 ? x : 0.0) + log1p(exp(x < 0 ? x : -x)); }
 
+#ifdef HG_CUDA /* where f64 is dear */
+HG_BODY float hg_log_f32(float x) { return logf(x); }
+#else
+HG_BODY float hg_log_f32(float x) { return (float)log((double)x); }
+#endif
+HG_BODY double hg_log_f64(double x) { return log(x); }
+
 HG_BODY float hg_sqrt_f32(float x) { return sqrtf(x); }
 HG_BODY double hg_sqrt_f64(double x) { return sqrt(x); }
 
