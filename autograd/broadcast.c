@@ -147,7 +147,10 @@ static hg_status backward_by_sums(hg_call *call, const hg_kernel *kernel, hg_pai
     args->to = partial->data;
     args->fresh = true;
     HG_TRY(hg_launch(call->ctx, kernel, blocks, args));
-    HG_TRY(hg_add_partials(call->ctx, in->dtype, args->sum.chunks, size, partial->data, gradient, fresh));
+    if (hg_ctx_host(call->ctx))
+        HG_TRY(hg_add_partials(call->ctx, in->dtype, args->sum.chunks, size, partial->data, gradient, fresh));
+    else
+        HG_TRY(hg_sum_middle(call->ctx, in->dtype, 1, args->sum.chunks, size, 1, partial->data, gradient, fresh));
     hg_step_rewind(call->ctx, mark);
     return HG_OK;
 }
