@@ -2,6 +2,7 @@
  * `limit`. Forces on the vertices of a strand differ by five orders of magnitude between a hair that hangs and one that
  * an arm passes through: bounded, the second does not drown the first, and the minimum stays where it is as long as no
  * force there reaches the limit. Deliberately not the derivative of its forward, once it clips. */
+#include "autograd/clip_gradient.kernel.h"
 #include "autograd/tape.h"
 
 #include <math.h>
@@ -9,35 +10,6 @@
 typedef struct {
     double limit;
 } clip_attributes;
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t width;
-    double limit;
-    bool fresh;
-    const void *g;
-    void *to;
-} clip_args;
-
-#define CLIP_ROWS(REAL_)                                                                                               \
-    for (int64_t row = first; row < last; row++) {                                                                     \
-        const REAL_ *g = (const REAL_ *)p->g + row * p->width;                                                         \
-        REAL_ *to = (REAL_ *)p->to + row * p->width;                                                                   \
-        double squares = 0;                                                                                            \
-        for (int64_t i = 0; i < p->width; i++) squares += (double)g[i] * (double)g[i];                                 \
-        const double length = sqrt(squares);                                                                           \
-        const REAL_ scale = (REAL_)(length > p->limit ? p->limit / length : 1);                                        \
-        for (int64_t i = 0; i < p->width; i++) to[i] = p->fresh ? scale * g[i] : to[i] + scale * g[i];                 \
-    }
-
-static void clip_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const clip_args *p = memory;
-    if (p->dtype == HG_F32)
-        CLIP_ROWS(float)
-    else
-        CLIP_ROWS(double)
-}
 
 static hg_tensor *clip_shape(hg_call *call)
 {
@@ -53,15 +25,15 @@ static hg_status clip_forward(hg_call *call) { return (void)call, HG_OK; }
 
 static hg_status clip_backward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "clip_gradient", .args_size = sizeof(clip_args), .cpu = clip_backward_cpu, .block = 2048
-    };
     const hg_tensor *x = call->out;
-    clip_args args = { .dtype = x->dtype, .width = x->shape[x->rank - 1] };
+    bool fresh;
+    clip_args args = { .width = x->shape[x->rank - 1] };
     args.limit = ((const clip_attributes *)call->attributes)->limit;
     args.g = hg_grad(x)->data;
-    args.to = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, args.width > 0 ? hg_tensor_count(x) / args.width : 0, &args);
+    args.to = hg_grad_data(call->in[0], &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, clip_gradient_kernels[x->dtype == HG_F64],
+                     args.width > 0 ? hg_tensor_count(x) / args.width : 0, &args);
 }
 
 static void clip_reference(const hg_call *call, double *out)

@@ -1,40 +1,25 @@
 /* Layout: reshape, detach (views), permute, concat, slice, pad. All but permute are copies of slabs: `outer` rows of
  * `length` elements, taken from rows of one pitch and put into rows of another. */
+#include "autograd/layout.kernel.h"
 #include "autograd/tape.h"
 
 #include <string.h>
 
 /* ---- slabs ---- */
 
-typedef struct {
-    hg_dtype dtype;
-    int64_t length, from_pitch, from_offset, to_pitch, to_offset; /* elements */
-    const void *from;
-    void *to;
-    bool add;
-} slab_args;
-
-static void slab_cpu(const void *memory, int64_t first, int64_t last)
+/* One of the kernels that copy, by the size of an element, or of those that add. */
+static const hg_kernel *mover(hg_dtype dtype, bool add, const hg_kernel *const copies[3],
+                              const hg_kernel *const adds[2])
 {
-    const slab_args *p = memory;
-    size_t size = hg_dtype_size(p->dtype);
-    for (int64_t e = first; e < last;) {
-        int64_t row = e / p->length, i = e % p->length, n = p->length - i < last - e ? p->length - i : last - e;
-        int64_t from = row * p->from_pitch + p->from_offset + i, to = row * p->to_pitch + p->to_offset + i;
-        if (!p->add)
-            memcpy((char *)p->to + (size_t)to * size, (const char *)p->from + (size_t)from * size, (size_t)n * size);
-        else if (p->dtype == HG_F32)
-            for (int64_t j = 0; j < n; j++) ((float *)p->to)[to + j] += ((const float *)p->from)[from + j];
-        else
-            for (int64_t j = 0; j < n; j++) ((double *)p->to)[to + j] += ((const double *)p->from)[from + j];
-        e += n;
-    }
+    if (add) return adds[dtype == HG_F64];
+    const size_t size = hg_dtype_size(dtype);
+    return copies[size == 2 ? 0 : size == 4 ? 1 : 2];
 }
 
-static hg_status move_slab(hg_ctx *ctx, int64_t outer, const slab_args *args)
+static hg_status move_slab(hg_ctx *ctx, int64_t outer, hg_dtype dtype, bool add, const slab_args *args)
 {
-    static const hg_kernel kernel = { .name = "slab", .args_size = sizeof(slab_args), .cpu = slab_cpu, .block = 16384 };
-    return hg_launch(ctx, &kernel, outer * args->length, args);
+    static const hg_kernel *const copies[3] = { &slab_16_bits_kernel, &slab_32_bits_kernel, &slab_64_bits_kernel };
+    return hg_launch(ctx, mover(dtype, add, copies, slab_add_kernels), outer * args->length, args);
 }
 
 /* [outer, shape[axis], inner] of a tensor. */
@@ -155,44 +140,6 @@ typedef struct {
     int axes[HG_MAX_RANK];
 } permute_attributes;
 
-typedef struct {
-    size_t size;
-    bool add;
-    hg_dtype dtype;
-    int rank;
-    int64_t shape[HG_MAX_RANK], stride[HG_MAX_RANK]; /* of the walked array; where each of its axes lies in the other */
-    const char *from;
-    char *to;
-    bool gather; /* true: to is walked in order; false: from is */
-} permute_args;
-
-static void permute_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const permute_args *p = memory;
-    int64_t index[HG_MAX_RANK] = { 0 }, other = 0, rest = first;
-    for (int i = p->rank; i-- > 0; rest /= p->shape[i]) {
-        index[i] = rest % p->shape[i];
-        other += index[i] * p->stride[i];
-    }
-    for (int64_t e = first; e < last; e++) {
-        int64_t from = p->gather ? other : e, to = p->gather ? e : other;
-        if (!p->add)
-            memcpy(p->to + (size_t)to * p->size, p->from + (size_t)from * p->size, p->size);
-        else if (p->dtype == HG_F32)
-            ((float *)p->to)[to] += ((const float *)p->from)[from];
-        else
-            ((double *)p->to)[to] += ((const double *)p->from)[from];
-        for (int i = p->rank; i-- > 0;) {
-            other += p->stride[i];
-            if (++index[i] < p->shape[i]) break;
-            other -= p->shape[i] * p->stride[i];
-            index[i] = 0;
-        }
-    }
-}
-
-static const hg_kernel permute_kernel = { .name = "permute", .args_size = sizeof(permute_args), .cpu = permute_cpu };
-
 static hg_tensor *permute_shape(hg_call *call)
 {
     const permute_attributes *attributes = call->attributes;
@@ -209,38 +156,48 @@ static hg_tensor *permute_shape(hg_call *call)
     return hg_out(call, x->dtype, x->rank, shape);
 }
 
-/* Walks the output; stride[i] is where its axis i lies in the input. */
-static permute_args permute_arguments(const hg_call *call)
+static hg_status permute(hg_ctx *ctx, const hg_tensor *walked, const permute_args *args, bool add)
 {
-    const permute_attributes *attributes = call->attributes;
-    const hg_tensor *x = call->in[0];
-    permute_args args = { .size = hg_dtype_size(x->dtype), .dtype = x->dtype, .rank = x->rank };
-    int64_t stride[HG_MAX_RANK], step = 1;
-    for (int i = x->rank; i-- > 0; step *= x->shape[i]) stride[i] = step;
-    for (int i = 0; i < x->rank; i++) {
-        args.shape[i] = call->out->shape[i];
-        args.stride[i] = stride[attributes->axes[i]];
-    }
-    return args;
+    static const hg_kernel *const copies[3] = { &permute_16_bits_kernel, &permute_32_bits_kernel,
+                                                &permute_64_bits_kernel };
+    return hg_launch(ctx, mover(walked->dtype, add, copies, permute_add_kernels), hg_tensor_count(walked), args);
+}
+
+static void strides_of(const hg_tensor *tensor, int64_t *strides)
+{
+    int64_t stride = 1;
+    for (int i = tensor->rank; i-- > 0; stride *= tensor->shape[i]) strides[i] = stride;
 }
 
 static hg_status permute_forward(hg_call *call)
 {
-    permute_args args = permute_arguments(call);
-    args.gather = true;
-    args.from = call->in[0]->data;
-    args.to = call->out->data;
-    return hg_launch(call->ctx, &permute_kernel, hg_tensor_count(call->out), &args);
+    const permute_attributes *attributes = call->attributes;
+    const hg_tensor *x = call->in[0], *y = call->out;
+    permute_args args = { .rank = y->rank, .from = x->data, .to = y->data };
+    int64_t strides[HG_MAX_RANK];
+    strides_of(x, strides);
+    for (int i = 0; i < y->rank; i++) {
+        args.shape[i] = y->shape[i];
+        args.stride[i] = strides[attributes->axes[i]];
+    }
+    return permute(call->ctx, y, &args, false);
 }
 
 static hg_status permute_backward(hg_call *call)
 {
-    permute_args args = permute_arguments(call);
+    const permute_attributes *attributes = call->attributes;
+    hg_tensor *x = call->in[0];
+    const hg_tensor *y = call->out;
     bool fresh;
-    args.from = hg_grad(call->out)->data;
-    args.to = hg_grad_data(call->in[0], &fresh);
-    args.add = !fresh;
-    return hg_launch(call->ctx, &permute_kernel, hg_tensor_count(call->out), &args);
+    permute_args args = { .rank = x->rank, .from = hg_grad(y)->data };
+    args.to = hg_grad_data(x, &fresh);
+    int64_t strides[HG_MAX_RANK];
+    strides_of(y, strides);
+    for (int i = 0; i < x->rank; i++) {
+        args.shape[attributes->axes[i]] = y->shape[i];
+        args.stride[attributes->axes[i]] = strides[i];
+    }
+    return permute(call->ctx, x, &args, !fresh);
 }
 
 static void permute_reference(const hg_call *call, double *out)
@@ -328,14 +285,13 @@ static hg_status concat_forward(hg_call *call)
     split_at(call->out, axis, &outer, &inner);
     for (int i = 0; i < call->n_in; i++) {
         int64_t length = call->in[i]->shape[axis] * inner;
-        slab_args args = { .dtype = call->out->dtype,
-                           .length = length,
+        slab_args args = { .length = length,
                            .from_pitch = length,
                            .to_pitch = call->out->shape[axis] * inner,
                            .to_offset = offset,
                            .from = call->in[i]->data,
                            .to = call->out->data };
-        HG_TRY(move_slab(call->ctx, outer, &args));
+        HG_TRY(move_slab(call->ctx, outer, call->out->dtype, false, &args));
         offset += length;
     }
     return HG_OK;
@@ -350,15 +306,13 @@ static hg_status concat_backward(hg_call *call)
         int64_t length = call->in[i]->shape[axis] * inner;
         if (hg_needs_grad(call->in[i])) {
             bool fresh;
-            slab_args args = { .dtype = call->out->dtype,
-                               .length = length,
+            slab_args args = { .length = length,
                                .from_pitch = call->out->shape[axis] * inner,
                                .from_offset = offset,
                                .to_pitch = length,
                                .from = hg_grad(call->out)->data };
             args.to = hg_grad_data(call->in[i], &fresh);
-            args.add = !fresh;
-            HG_TRY(move_slab(call->ctx, outer, &args));
+            HG_TRY(move_slab(call->ctx, outer, call->out->dtype, !fresh, &args));
         }
         offset += length;
     }
@@ -455,12 +409,12 @@ static hg_status move_range(const hg_call *call, const hg_tensor *large, const h
     split_at(large, attributes->axis, &outer, &inner);
     int64_t pitch = large->shape[attributes->axis] * inner, length = small->shape[attributes->axis] * inner;
     int64_t offset = attributes->first * inner;
-    slab_args args = { .dtype = large->dtype, .length = length, .from = from, .to = to, .add = add };
+    slab_args args = { .length = length, .from = from, .to = to };
     args.from_pitch = to_small ? pitch : length;
     args.to_pitch = to_small ? length : pitch;
     args.from_offset = to_small ? offset : 0;
     args.to_offset = to_small ? 0 : offset;
-    return move_slab(call->ctx, outer, &args);
+    return move_slab(call->ctx, outer, large->dtype, add, &args);
 }
 
 static hg_status slice_forward(hg_call *call)

@@ -1,38 +1,7 @@
 /* place: how a network's output becomes hair. x = p + R (rest + d - rest_root); the root lies at p whatever d is.
  * The gradient goes to d alone; rest, rotation and position are data. */
-#include "autograd/floats.h"
+#include "autograd/place.kernel.h"
 #include "autograd/tape.h"
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t strands, vertices;
-    bool shared_rest, fresh;
-    const void *d, *rest, *rotation, *position, *g;
-    void *x, *dd;
-} place_args;
-
-#define REAL   float
-#define SUFFIX _f32
-#include "autograd/place.inc"
-#undef REAL
-#undef SUFFIX
-#define REAL   double
-#define SUFFIX _f64
-#include "autograd/place.inc"
-#undef REAL
-#undef SUFFIX
-
-static void place_forward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const place_args *p = memory;
-    (p->dtype == HG_F32 ? place_forward_f32 : place_forward_f64)(p, first, last);
-}
-
-static void place_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const place_args *p = memory;
-    (p->dtype == HG_F32 ? place_backward_f32 : place_backward_f64)(p, first, last);
-}
 
 static bool has_shape(const hg_tensor *tensor, int rank, const int64_t *shape)
 {
@@ -61,8 +30,7 @@ static hg_tensor *place_shape(hg_call *call)
 static place_args place_arguments(const hg_call *call)
 {
     const hg_tensor *x = call->out, *rest = call->in[1];
-    return (place_args){ .dtype = x->dtype,
-                         .strands = x->shape[1],
+    return (place_args){ .strands = x->shape[1],
                          .vertices = x->shape[2],
                          .shared_rest = rest->rank == 3,
                          .d = call->in[0]->data,
@@ -74,22 +42,20 @@ static place_args place_arguments(const hg_call *call)
 
 static hg_status place_forward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "place", .args_size = sizeof(place_args), .cpu = place_forward_cpu, .block = 64
-    };
-    place_args args = place_arguments(call);
-    return hg_launch(call->ctx, &kernel, call->out->shape[0] * call->out->shape[1], &args);
+    const place_args args = place_arguments(call);
+    return hg_launch(call->ctx, place_forward_kernels[call->out->dtype == HG_F64], hg_tensor_count(call->out) / 3,
+                     &args);
 }
 
 static hg_status place_backward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "place", .args_size = sizeof(place_args), .cpu = place_backward_cpu, .block = 64
-    };
+    hg_tensor *d = call->in[0];
+    bool fresh;
     place_args args = place_arguments(call);
     args.g = hg_grad(call->out)->data;
-    args.dd = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, call->out->shape[0] * call->out->shape[1], &args);
+    args.dd = hg_grad_data(d, &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, place_backward_kernels[d->dtype == HG_F64], hg_tensor_count(d) / 3, &args);
 }
 
 /* v + 2 w (u x v) + 2 u x (u x v), for a quaternion (w, u) of length one. */

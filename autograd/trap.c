@@ -1,44 +1,21 @@
 /* The trap for numbers that are not finite: names the op and the element, and writes what reproduces it. */
 #include "autograd/tape.h"
+#include "autograd/trap.kernel.h"
 
 #include <math.h>
 #include <stdio.h>
 #include <string.h>
 
-typedef struct {
-    hg_dtype dtype;
-    const void *data;
-    int64_t *first; /* per block, -1: none */
-    int64_t n;
-} search_args;
-
-enum { BLOCK = 16384 };
-
-static void search_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const search_args *p = memory;
-    for (int64_t block = first; block < last; block++) {
-        int64_t end = (block + 1) * BLOCK < p->n ? (block + 1) * BLOCK : p->n;
-        p->first[block] = -1;
-        for (int64_t i = block * BLOCK; i < end && p->first[block] < 0; i++) {
-            double x = p->dtype == HG_F32 ? (double)((const float *)p->data)[i] : ((const double *)p->data)[i];
-            if (!isfinite(x)) p->first[block] = i;
-        }
-    }
-}
-
 /* The first element that is not finite, -1 when there is none. */
 static int64_t search(hg_ctx *ctx, const hg_tensor *tensor)
 {
-    static const hg_kernel kernel = {
-        .name = "search", .args_size = sizeof(search_args), .cpu = search_cpu, .block = 1
-    };
     if (!tensor || !hg_is_float(tensor)) return -1;
-    int64_t n = hg_tensor_count(tensor), blocks = (n + BLOCK - 1) / BLOCK, found = -1;
+    int64_t n = hg_tensor_count(tensor), blocks = (n + SEARCHED - 1) / SEARCHED, found = -1;
     hg_step_mark mark = hg_step_set_mark(ctx);
     hg_tensor *first = hg_tensor_make(ctx, HG_F64, 1, &blocks); /* 8 bytes an element, on the device */
     if (first &&
-        hg_launch(ctx, &kernel, blocks, &(search_args){ tensor->dtype, tensor->data, first->data, n }) == HG_OK) {
+        hg_launch(ctx, search_kernels[tensor->dtype == HG_F64], blocks,
+                  &(search_args){ tensor->data, first->data, n }) == HG_OK) {
         int64_t *host = hg_step_alloc(ctx, (size_t)blocks * sizeof *host);
         if (host && hg_tensor_read(first, host) == HG_OK)
             for (int64_t b = 0; b < blocks && found < 0; b++) found = host[b];
@@ -227,10 +204,11 @@ static void say(hg_ctx *ctx, hg_text *text, const char *what, const hg_tensor *t
     if (!tensor) return;
     const int64_t n = hg_tensor_count(tensor), bad = search(ctx, tensor);
     double largest = 0;
-    for (int64_t i = 0; i < n; i++) {
-        const double x = fabs(hg_tensor_item(tensor, i));
-        if (isfinite(x) && x > largest) largest = x;
-    }
+    hg_step_mark mark = hg_step_set_mark(ctx);
+    const double *values = hg_host_numbers(tensor);
+    for (int64_t i = 0; values && i < n; i++)
+        if (isfinite(values[i]) && fabs(values[i]) > largest) largest = fabs(values[i]);
+    hg_step_rewind(ctx, mark);
     hg_text_add(text, "  %-20s %-16s largest %.4g", what, hg_shape_text(tensor, shape), largest);
     if (bad >= 0)
         hg_text_add(text, ", %g at %s", unsigned_nan(hg_tensor_item(tensor, bad)), hg_place_text(tensor, bad, place));

@@ -6,48 +6,10 @@
  * a [..,E,3] are the last E of the V-1 edges of a strand; those before them stay as they are. It is how a network can be
  * trained against stiff springs: no output stretches an edge, so bending, weight and contact are what is left to learn.
  * |t0 + a| is at least 0.01 where it is divided by; an edge of no length has no direction and moves nothing. */
-#include "autograd/floats.h"
+#include "autograd/turn_edges.kernel.h"
 #include "autograd/tape.h"
 
 #include <math.h>
-
-#define LEAST_LENGTH 1e-9 /* m, where divided by */
-#define LEAST_SQUARE 1e-4
-
-typedef struct {
-    hg_dtype dtype;
-    int64_t strands, edges, turned;
-    bool fresh;
-    const void *a, *rest, *g;
-    void *d, *da;
-} turn_args;
-
-#define REAL   float
-#define SUFFIX _f32
-#define M(f_)  f_##f
-#include "autograd/turn_edges.inc"
-#undef REAL
-#undef SUFFIX
-#undef M
-#define REAL   double
-#define SUFFIX _f64
-#define M(f_)  f_
-#include "autograd/turn_edges.inc"
-#undef REAL
-#undef SUFFIX
-#undef M
-
-static void turn_forward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const turn_args *p = memory;
-    (p->dtype == HG_F32 ? turn_forward_f32 : turn_forward_f64)(p, first, last);
-}
-
-static void turn_backward_cpu(const void *memory, int64_t first, int64_t last)
-{
-    const turn_args *p = memory;
-    (p->dtype == HG_F32 ? turn_backward_f32 : turn_backward_f64)(p, first, last);
-}
 
 static hg_tensor *turn_shape(hg_call *call)
 {
@@ -69,8 +31,7 @@ static hg_tensor *turn_shape(hg_call *call)
 static turn_args turn_arguments(const hg_call *call)
 {
     const hg_tensor *a = call->in[0], *rest = call->in[1];
-    return (turn_args){ .dtype = a->dtype,
-                        .strands = rest->shape[0],
+    return (turn_args){ .strands = rest->shape[0],
                         .edges = rest->shape[1] - 1,
                         .turned = a->shape[a->rank - 2],
                         .a = a->data,
@@ -86,22 +47,18 @@ static int64_t rows(const hg_call *call)
 
 static hg_status turn_forward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "turn_edges", .args_size = sizeof(turn_args), .cpu = turn_forward_cpu, .block = 64
-    };
     const turn_args args = turn_arguments(call);
-    return hg_launch(call->ctx, &kernel, rows(call), &args);
+    return hg_launch(call->ctx, turn_forward_kernels[call->out->dtype == HG_F64], rows(call), &args);
 }
 
 static hg_status turn_backward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "turn_edges", .args_size = sizeof(turn_args), .cpu = turn_backward_cpu, .block = 64
-    };
+    bool fresh;
     turn_args args = turn_arguments(call);
     args.g = hg_grad(call->out)->data;
-    args.da = hg_grad_data(call->in[0], &args.fresh);
-    return hg_launch(call->ctx, &kernel, rows(call), &args);
+    args.da = hg_grad_data(call->in[0], &fresh);
+    args.fresh = fresh;
+    return hg_launch(call->ctx, turn_backward_kernels[call->out->dtype == HG_F64], rows(call), &args);
 }
 
 static void turn_reference(const hg_call *call, double *out)
