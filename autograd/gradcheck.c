@@ -17,6 +17,7 @@ typedef struct {
     int n_in;
     hg_tensor *in[HG_OP_INPUTS];
     double *value[HG_OP_INPUTS], *gradient[HG_OP_INPUTS], *direction[HG_OP_INPUTS]; /* of the checked inputs */
+    double *moved[HG_OP_INPUTS];                                                    /* what they are changed to */
     const hg_call *call; /* of an op: for its kinks; may be NULL */
     const bool *empty;   /* of an op: its output is, so that gradients are zero; may be NULL */
     double tolerance, step, center, norm, largest[HG_OP_INPUTS];
@@ -43,16 +44,22 @@ static hg_status evaluate_at(const check *c, int input, int64_t element, double 
 {
     for (int i = 0; i < c->n_in; i++) {
         if (!c->value[i] || (element >= 0 && i != input)) continue;
-        double *x = c->in[i]->data;
+        double *x = c->moved[i];
         int64_t n = hg_tensor_count(c->in[i]);
-        if (element >= 0)
-            x[element] = c->value[i][element] + t;
-        else
+        if (element >= 0) {
+            memcpy(x, c->value[i], (size_t)n * sizeof *x);
+            x[element] += t;
+        } else {
             for (int64_t e = 0; e < n; e++) x[e] = c->value[i][e] + t * c->direction[i][e];
+        }
+        HG_TRY(hg_tensor_write(c->in[i], x));
     }
     hg_status status = evaluate(c, value);
     for (int i = 0; i < c->n_in; i++)
-        if (c->value[i]) memcpy(c->in[i]->data, c->value[i], hg_tensor_bytes(c->in[i]));
+        if (c->value[i] && (element < 0 || i == input)) {
+            const hg_status restored = hg_tensor_write(c->in[i], c->value[i]);
+            if (status == HG_OK) status = restored;
+        }
     return status;
 }
 
@@ -217,13 +224,13 @@ static hg_status take_gradients(check *c)
             return hg_ctx_fail(c->ctx, HG_INVALID, "gradcheck: input %d is %s, f64 is needed", i,
                                hg_shape_text(c->in[i], text));
         int64_t n = hg_tensor_count(c->in[i]);
-        double **parts[] = { &c->value[i], &c->gradient[i], &c->direction[i] };
-        for (int j = 0; j < 3; j++) {
+        double **parts[] = { &c->value[i], &c->gradient[i], &c->direction[i], &c->moved[i] };
+        for (int j = 0; j < 4; j++) {
             *parts[j] = hg_alloc((size_t)(n ? n : 1), sizeof(double));
             if (!*parts[j]) return hg_ctx_fail(c->ctx, HG_MEMORY, "out of memory: gradcheck");
         }
-        memcpy(c->value[i], c->in[i]->data, (size_t)n * sizeof(double));
-        memcpy(c->gradient[i], hg_grad(c->in[i])->data, (size_t)n * sizeof(double));
+        HG_TRY(hg_tensor_read(c->in[i], c->value[i]));
+        HG_TRY(hg_tensor_read(hg_grad(c->in[i]), c->gradient[i]));
     }
     return HG_OK;
 }
@@ -284,6 +291,7 @@ static hg_status run_check(check *c, const hg_gradcheck_options *options)
         hg_free(c->value[i]);
         hg_free(c->gradient[i]);
         hg_free(c->direction[i]);
+        hg_free(c->moved[i]);
     }
     if (status == HG_OK && c->result->checked == 0 && c->result->kinks > 0 && !c->call)
         status = hg_fail(HG_NUMERIC, "gradcheck: every one of the %lld derivatives is at a kink: nothing was checked",
@@ -314,17 +322,19 @@ hg_tensor *hg_sample_input(hg_ctx *ctx, const hg_sample *sample, int i, hg_dtype
     double low = sample->in[i].low, high = sample->in[i].high;
     if (low == 0 && high == 0) low = -1, high = 1;
     int64_t n = hg_tensor_count(tensor);
+    void *values = hg_step_alloc(ctx, hg_tensor_bytes(tensor));
+    if (!values) return NULL;
     for (int64_t e = 0; e < n; e++) {
         double x = low + (high - low) * hg_random_uniform(5, (uint64_t)i, (uint64_t)e);
         if (sample->in[i].values) x = sample->in[i].values[e];
         if (tensor->dtype == HG_I32)
-            ((int32_t *)tensor->data)[e] = (int32_t)x;
+            ((int32_t *)values)[e] = (int32_t)x;
         else if (tensor->dtype == HG_F32)
-            ((float *)tensor->data)[e] = (float)x;
+            ((float *)values)[e] = (float)x;
         else
-            ((double *)tensor->data)[e] = (double)(float)x; /* the same number in both float types */
+            ((double *)values)[e] = (double)(float)x; /* the same number in both float types */
     }
-    return tensor;
+    return hg_tensor_write(tensor, values) == HG_OK ? tensor : NULL;
 }
 
 typedef struct {
@@ -340,10 +350,21 @@ static hg_tensor *weighted_output(void *self, hg_ctx *ctx, hg_tensor **in)
     hg_tensor *y = hg_apply(ctx, test->op, test->sample->n_in, in, test->sample->attributes);
     if (!y) return NULL;
     test->empty = hg_tensor_count(y) == 0;
-    hg_tensor *weights = hg_tensor_make(ctx, HG_F64, y->rank, y->shape);
-    for (int64_t e = 0; weights && e < hg_tensor_count(weights); e++)
-        ((double *)weights->data)[e] = 0.5 + hg_random_uniform(5, 100, (uint64_t)e);
-    return hg_sum(ctx, hg_mul(ctx, y, weights));
+    double *weights = hg_step_alloc(ctx, (size_t)hg_tensor_count(y) * sizeof *weights);
+    if (!weights) return NULL;
+    for (int64_t e = 0; e < hg_tensor_count(y); e++) weights[e] = 0.5 + hg_random_uniform(5, 100, (uint64_t)e);
+    return hg_sum(ctx, hg_mul(ctx, y, hg_tensor_from(ctx, HG_F64, y->rank, y->shape, weights)));
+}
+
+/* A kink is asked for element by element: of inputs that the processor can read. */
+static hg_status inputs_on_the_host(const hg_sample *sample, hg_call *call, hg_ctx **host)
+{
+    HG_TRY(hg_ctx_create(host, &(hg_ctx_options){ .device = "cpu", .threads = 1 }));
+    for (int i = 0; i < sample->n_in; i++) {
+        call->in[i] = hg_sample_input(*host, sample, i, HG_F64);
+        if (!call->in[i]) return HG_MEMORY;
+    }
+    return HG_OK;
 }
 
 hg_status hg_gradcheck_op(hg_ctx *ctx, const hg_op *op, const hg_sample *sample, const hg_gradcheck_options *options,
@@ -372,7 +393,10 @@ hg_status hg_gradcheck_op(hg_ctx *ctx, const hg_op *op, const hg_sample *sample,
         if (!call.attributes) return HG_MEMORY;
         memcpy(call.attributes, sample->attributes, op->attributes_size);
     }
-    hg_status status = run_check(&c, &given);
+    hg_ctx *host = NULL;
+    hg_status status = hg_ctx_host(ctx) ? HG_OK : inputs_on_the_host(sample, &call, &host);
+    if (status == HG_OK) status = run_check(&c, &given);
+    hg_ctx_destroy(host);
     return status == HG_NUMERIC && hg_ctx_status(ctx) == HG_OK
                ? hg_fail(status, "%s (%s): %s", op->name, sample->label,
                          c.result->text[0] ? c.result->text : hg_message())

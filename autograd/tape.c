@@ -432,11 +432,11 @@ hg_status hg_backward(hg_ctx *ctx, hg_tensor *loss) { return (hg_backward_seeded
 static double norm_of(const hg_tensor *tensor)
 {
     double sum = 0;
-    int64_t n = hg_tensor_count(tensor);
-    for (int64_t i = 0; i < n; i++) {
-        double x = hg_tensor_item(tensor, i);
-        sum += x * x;
-    }
+    const int64_t n = hg_tensor_count(tensor);
+    double *x = hg_alloc((size_t)n + 1, sizeof *x);
+    if (!x || hg_tensor_numbers(tensor, x) != HG_OK) sum = (double)NAN;
+    for (int64_t i = 0; x && i < n; i++) sum += x[i] * x[i];
+    hg_free(x);
     return sqrt(sum);
 }
 

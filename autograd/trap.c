@@ -13,9 +13,8 @@ static int64_t search(hg_ctx *ctx, const hg_tensor *tensor)
     int64_t n = hg_tensor_count(tensor), blocks = (n + SEARCHED - 1) / SEARCHED, found = -1;
     hg_step_mark mark = hg_step_set_mark(ctx);
     hg_tensor *first = hg_tensor_make(ctx, HG_F64, 1, &blocks); /* 8 bytes an element, on the device */
-    if (first &&
-        hg_launch(ctx, search_kernels[tensor->dtype == HG_F64], blocks,
-                  &(search_args){ tensor->data, first->data, n }) == HG_OK) {
+    if (first && hg_launch(ctx, search_kernels[tensor->dtype == HG_F64], blocks,
+                           &(search_args){ tensor->data, first->data, n }) == HG_OK) {
         int64_t *host = hg_step_alloc(ctx, (size_t)blocks * sizeof *host);
         if (host && hg_tensor_read(first, host) == HG_OK)
             for (int64_t b = 0; b < blocks && found < 0; b++) found = host[b];
@@ -204,11 +203,11 @@ static void say(hg_ctx *ctx, hg_text *text, const char *what, const hg_tensor *t
     if (!tensor) return;
     const int64_t n = hg_tensor_count(tensor), bad = search(ctx, tensor);
     double largest = 0;
-    hg_step_mark mark = hg_step_set_mark(ctx);
-    const double *values = hg_host_numbers(tensor);
-    for (int64_t i = 0; values && i < n; i++)
-        if (isfinite(values[i]) && fabs(values[i]) > largest) largest = fabs(values[i]);
-    hg_step_rewind(ctx, mark);
+    double *values = hg_alloc((size_t)n + 1, sizeof *values);
+    if (values && hg_tensor_numbers(tensor, values) == HG_OK)
+        for (int64_t i = 0; i < n; i++)
+            if (isfinite(values[i]) && fabs(values[i]) > largest) largest = fabs(values[i]);
+    hg_free(values);
     hg_text_add(text, "  %-20s %-16s largest %.4g", what, hg_shape_text(tensor, shape), largest);
     if (bad >= 0)
         hg_text_add(text, ", %g at %s", unsigned_nan(hg_tensor_item(tensor, bad)), hg_place_text(tensor, bad, place));

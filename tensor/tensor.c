@@ -190,6 +190,24 @@ hg_status hg_tensor_copy(hg_tensor *to, const hg_tensor *from)
     return HG_OK;
 }
 
+hg_status hg_tensor_numbers(const hg_tensor *tensor, double *to)
+{
+    const int64_t n = hg_tensor_count(tensor);
+    void *copy = NULL;
+    if (!tensor->ctx->device->host) {
+        copy = hg_alloc(hg_tensor_bytes(tensor) + 1, 1);
+        if (!copy) return HG_MEMORY;
+        const hg_status status = hg_tensor_read(tensor, copy);
+        if (status != HG_OK) {
+            hg_free(copy);
+            return status;
+        }
+    }
+    for (int64_t i = 0; i < n; i++) to[i] = number_at(copy ? copy : tensor->data, (int)tensor->dtype, i);
+    hg_free(copy);
+    return HG_OK;
+}
+
 double hg_tensor_item(const hg_tensor *tensor, int64_t i)
 {
     if (!tensor || i < 0 || i >= hg_tensor_count(tensor)) return (double)NAN;

@@ -132,6 +132,7 @@ hg_status  hg_tensor_write(hg_tensor *tensor, const void *from); /* host -> devi
 hg_status  hg_tensor_read(const hg_tensor *tensor, void *to);    /* device -> host */
 hg_status  hg_tensor_fill(hg_tensor *tensor, double value);
 hg_status  hg_tensor_copy(hg_tensor *to, const hg_tensor *from); /* same count; converts dtype */
+hg_status  hg_tensor_numbers(const hg_tensor *tensor, double *to); /* all elements as doubles on the host, any dtype */
 double     hg_tensor_item(const hg_tensor *tensor, int64_t i);   /* one element as double, any dtype; NAN outside */
 const char *hg_shape_text(const hg_tensor *tensor, char text[96]); /* "f32 [3,4]" */
 
