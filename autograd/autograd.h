@@ -181,6 +181,12 @@ hg_tensor *hg_scatter_add(hg_ctx *ctx, hg_tensor *a, hg_tensor *index, int64_t r
 hg_tensor *hg_matmul(hg_ctx *ctx, hg_tensor *a, hg_tensor *b);                    /* [..,m,k] x [k,n]; leading axes of a are rows */
 hg_tensor *hg_linear(hg_ctx *ctx, hg_tensor *x, hg_tensor *weight, hg_tensor *bias, hg_activation activation); /* act(x W + b); W [in,out], b [out] or NULL; fused */
 hg_tensor *hg_linear_pair(hg_ctx *ctx, hg_tensor *rows, hg_tensor *groups, hg_activation activation); /* act(rows[S,H] + groups[B,H]) -> [B,S,H]: the factored first layer, one pass */
+/* Convolution of images: x [B,C,H,W], weight [O,C,kh,kw], bias [O] or NULL -> [B,O,(H + 2 padding - kh) / stride + 1, (W + 2
+ * padding - kw) / stride + 1], zeros around x; not flipped. What does not fit is an error, an empty batch is none. On cuda by
+ * cuDNN: HG_UNSUPPORTED where that is missing. */
+hg_tensor *hg_conv2d(hg_ctx *ctx, hg_tensor *x, hg_tensor *weight, hg_tensor *bias, int stride, int padding);
+typedef enum { HG_NEAREST, HG_BILINEAR } hg_interpolation;
+hg_tensor *hg_upsample(hg_ctx *ctx, hg_tensor *x, hg_interpolation interpolation); /* [B,C,H,W] -> [B,C,2H,2W]; bilinear by half pixels */
 hg_tensor *hg_softmax(hg_ctx *ctx, hg_tensor *a);                                 /* last axis */
 hg_tensor *hg_layer_norm(hg_ctx *ctx, hg_tensor *a, hg_tensor *gain, hg_tensor *bias, double epsilon); /* last axis */
 hg_tensor *hg_group_norm(hg_ctx *ctx, hg_tensor *a, hg_tensor *gain, hg_tensor *bias, int groups, double epsilon); /* [B,C,...] */
@@ -238,6 +244,8 @@ hg_tensor *hg_place(hg_ctx *ctx, hg_tensor *d, hg_tensor *rest, hg_tensor *rotat
 #define hg_matmul(ctx, ...) (hg_matmul)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_linear(ctx, ...) (hg_linear)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_linear_pair(ctx, ...) (hg_linear_pair)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_conv2d(ctx, ...) (hg_conv2d)(HG_HERE(ctx), __VA_ARGS__)
+#define hg_upsample(ctx, ...) (hg_upsample)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_softmax(ctx, ...) (hg_softmax)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_layer_norm(ctx, ...) (hg_layer_norm)(HG_HERE(ctx), __VA_ARGS__)
 #define hg_group_norm(ctx, ...) (hg_group_norm)(HG_HERE(ctx), __VA_ARGS__)

@@ -276,3 +276,79 @@ hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpo
     hg_step_rewind(ctx, mark);
     return status == HG_OK ? HG_OK : hg_ctx_fail(ctx, status, "%s", hg_message());
 }
+
+static hg_status convolve(hg_ctx *ctx, const hg_convolve_call *call)
+{
+    const hg_convolution *s = call->sizes;
+    if (s->batch < 0 || s->in < 1 || s->out < 1 || s->kernel_height < 1 || s->kernel_width < 1 || s->stride < 1 ||
+        s->padding < 0 || s->out_height < 1 || s->out_width < 1 ||
+        (s->out_height - 1) * s->stride + s->kernel_height > s->height + 2 * s->padding ||
+        (s->out_width - 1) * s->stride + s->kernel_width > s->width + 2 * s->padding)
+        return hg_ctx_fail(ctx, HG_INVALID,
+                           "convolution: [%lld,%lld,%lld,%lld], kernels [%lld,%lld,%lld,%lld], stride %lld, padding "
+                           "%lld do not make [%lld,%lld]",
+                           (long long)s->batch, (long long)s->in, (long long)s->height, (long long)s->width,
+                           (long long)s->out, (long long)s->in, (long long)s->kernel_height, (long long)s->kernel_width,
+                           (long long)s->stride, (long long)s->padding, (long long)s->out_height,
+                           (long long)s->out_width);
+    if (call->dtype != HG_F32 && call->dtype != HG_F64)
+        return hg_ctx_fail(ctx, HG_UNSUPPORTED, "convolution: f32 and f64 are possible, not %s",
+                           hg_dtype_name(call->dtype));
+    if (s->batch == 0 && call->which != HG_CONVOLVE_TO_WEIGHT) return HG_OK;
+    if (s->batch == 0) { /* a sum of nothing */
+        const int64_t weights = s->out * s->in * s->kernel_height * s->kernel_width;
+        hg_tensor *zeros = call->add ? NULL : hg_tensor_wrap(ctx, call->dtype, 1, &weights, call->weight);
+        return call->add ? HG_OK : zeros ? hg_tensor_fill(zeros, 0) : HG_MEMORY;
+    }
+    size_t bytes = 0;
+    hg_device *device = ctx->device;
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    HG_TRY(told(ctx, device->convolve_workspace(device, ctx->threads, call, &bytes)));
+    void *workspace = bytes ? hg_step_device(ctx, bytes) : NULL;
+    if (bytes && !workspace) return HG_MEMORY;
+    const hg_status status = told(ctx, device->convolve(device, ctx->threads, call, workspace));
+    hg_step_rewind(ctx, mark);
+    return status;
+}
+
+/* The device's calls have one form, in which what is read is not const. */
+#define MEMORY(pointer_) ((void *)(uintptr_t)(pointer_))
+
+hg_status hg_convolve(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *x, const void *weight,
+                      const void *bias, void *y)
+{
+    return convolve(ctx, &(hg_convolve_call){ .sizes = sizes,
+                                              .which = HG_CONVOLVE,
+                                              .dtype = dtype,
+                                              .compute = ctx->compute,
+                                              .x = MEMORY(x),
+                                              .weight = MEMORY(weight),
+                                              .bias = bias,
+                                              .y = y });
+}
+
+hg_status hg_convolve_to_input(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *weight,
+                               const void *dy, bool add, void *dx)
+{
+    return convolve(ctx, &(hg_convolve_call){ .sizes = sizes,
+                                              .which = HG_CONVOLVE_TO_INPUT,
+                                              .dtype = dtype,
+                                              .compute = ctx->compute,
+                                              .x = dx,
+                                              .weight = MEMORY(weight),
+                                              .y = MEMORY(dy),
+                                              .add = add });
+}
+
+hg_status hg_convolve_to_weight(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *x, const void *dy,
+                                bool add, void *dweight)
+{
+    return convolve(ctx, &(hg_convolve_call){ .sizes = sizes,
+                                              .which = HG_CONVOLVE_TO_WEIGHT,
+                                              .dtype = dtype,
+                                              .compute = ctx->compute,
+                                              .x = MEMORY(x),
+                                              .weight = dweight,
+                                              .y = MEMORY(dy),
+                                              .add = add });
+}

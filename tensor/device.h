@@ -4,6 +4,17 @@
 
 #include "tensor/tensor.h"
 
+/* What hg_convolve and its gradients become: of x, weight and y one is written. */
+typedef enum { HG_CONVOLVE, HG_CONVOLVE_TO_INPUT, HG_CONVOLVE_TO_WEIGHT } hg_convolve_which;
+typedef struct {
+    const hg_convolution *sizes;
+    hg_convolve_which which;
+    hg_dtype dtype, compute;
+    void *x, *weight, *y;
+    const void *bias; /* NULL: none */
+    bool add;         /* to what is written; never forward */
+} hg_convolve_call;
+
 /* One a context; the cpu's is shared. A backend's own struct begins with this one. */
 typedef struct hg_device hg_device;
 struct hg_device {
@@ -26,6 +37,8 @@ struct hg_device {
     hg_status (*product)(hg_device *, int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m,
                          int64_t n, int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb,
                          double beta, void *c, int64_t ldc, void *workspace);
+    hg_status (*convolve_workspace)(hg_device *, int threads, const hg_convolve_call *, size_t *bytes);
+    hg_status (*convolve)(hg_device *, int threads, const hg_convolve_call *, void *workspace);
     hg_status (*compute)(hg_device *, hg_dtype dtype); /* hg_ctx_compute: may it? NULL: f32 alone */
     hg_status (*record)(hg_device *);                  /* NULL: everything is run at once */
     hg_status (*run)(hg_device *);
@@ -41,6 +54,9 @@ size_t hg_cpu_product_workspace(hg_device *, hg_dtype dtype, bool transpose_a, i
 hg_status hg_cpu_product(hg_device *, int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m,
                          int64_t n, int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb,
                          double beta, void *c, int64_t ldc, void *workspace);
+/* tensor/cpu/convolution.c */
+hg_status hg_cpu_convolve_workspace(hg_device *, int threads, const hg_convolve_call *, size_t *bytes);
+hg_status hg_cpu_convolve(hg_device *, int threads, const hg_convolve_call *, void *workspace);
 /* tensor/cpu/product_bf16.c: c = op(a) op(b), or c += that; factors bf16, sums f32, on the calling thread */
 bool hg_cpu_has_bf16(void);
 void hg_cpu_product_bf16(bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k, const uint16_t *a,

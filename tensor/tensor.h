@@ -67,7 +67,7 @@ bool        hg_ctx_host(const hg_ctx *ctx);                      /* may `data` b
 /* For work on arrays of the host, such as scenes and files: ctx itself, or a context of the processor beside it, which is made at
  * the first call and goes with it. NULL sets the error. */
 hg_ctx     *hg_ctx_on_host(hg_ctx *ctx);
-/* In what the factors of a layer's products (hg_linear of more than 256 rows, forward and both gradients) are rounded:
+/* In what the factors of a layer's products (hg_linear of more than 256 rows and hg_conv2d, forward and both gradients) are rounded:
  * HG_F32 (default), HG_BF16 or HG_TF32, summed in f32 in any case; tensors, weights and everything else stay f32. On cuda it
  * holds for every f32 hg_product and convolution. HG_UNSUPPORTED where the processor has no bf16 instructions, and for HG_TF32
  * on the cpu: then it stays as it was. */
@@ -161,6 +161,17 @@ void      hg_kernel_release(hg_ctx *ctx, const hg_kernel *kernel); /* before a k
  * f32 through oneDNN single-threaded on fixed blocks, f64 by plain loops. Sums over k are cut in fixed chunks. */
 hg_status hg_product(hg_ctx *ctx, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m, int64_t n, int64_t k,
                      double alpha, const void *a, int64_t lda, const void *b, int64_t ldb, double beta, void *c, int64_t ldc);
+
+/* Convolutions of images, as networks have them: y[b,o,i,j] = bias[o] + sum over c,u,v of weight[o,c,u,v] x[b,c, stride i + u -
+ * padding, stride j + v - padding], x being zero outside. All arrays packed, in the order of their indices; at least one channel,
+ * tap and output; any batch. f32 and f64, factors as hg_ctx_compute says: on the cpu in f32 where an output channel has up to 256
+ * elements in the batch, and on cuda the results of bf16 are rounded to it too. Products over blocks of columns on the cpu, cuDNN
+ * on cuda: HG_UNSUPPORTED where that is not installed. */
+typedef struct { int64_t batch, in, height, width, out, kernel_height, kernel_width, stride, padding, out_height, out_width; } hg_convolution;
+hg_status hg_convolve(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *x, const void *weight, const void *bias, void *y); /* bias NULL: none */
+/* Their gradients: dx or dweight = or += (add) what dy makes of it. */
+hg_status hg_convolve_to_input(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *weight, const void *dy, bool add, void *dx);
+hg_status hg_convolve_to_weight(hg_ctx *ctx, hg_dtype dtype, const hg_convolution *sizes, const void *x, const void *dy, bool add, void *dweight);
 
 /* Inside a kernel's cpu body: the same product on the calling thread alone, f32 and f64 (nothing else is asked for).
  * HG_BF16: A and B are bf16, C is f32, alpha is 1 and beta 0 or 1. */

@@ -73,6 +73,8 @@ hg_device *hg_cpu_device(void)
         .launches = launches,
         .product_workspace = hg_cpu_product_workspace,
         .product = hg_cpu_product,
+        .convolve_workspace = hg_cpu_convolve_workspace,
+        .convolve = hg_cpu_convolve,
         .compute = compute,
     };
     return &device;
