@@ -544,13 +544,10 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
                             .load = load,
                             .start = start };
     HG_TRY(first_call(task));
-    task->backend =
-        hg_format("%s%s%s%s", hg_physics_backend_name(task->subset.physics),
-                  task->compute == HG_BF16   ? ", products in bf16"
-                  : task->compute == HG_TF32 ? ", products in tf32"
-                                             : "",
-                  hg_ctx_host(task->ctx) ? "" : ", on ",
-                  hg_ctx_host(task->ctx) ? "" : hg_ctx_device(task->ctx)); /* outlives a subset drawn anew */
+    task->backend = hg_format("%s%s", hg_physics_backend_name(task->subset.physics),
+                              task->compute == HG_BF16   ? ", products in bf16"
+                              : task->compute == HG_TF32 ? ", products in tf32"
+                                                         : ""); /* outlives a subset drawn anew */
     task->backend_note = hg_strdup(hg_physics_backend_note(task->subset.physics));
     if (!task->backend || !task->backend_note) return HG_MEMORY;
     task->options = train_options(task);

@@ -2,55 +2,32 @@
  * 2017): a <- a + (1 - d) (w - a) after every step, with d = min(decay, (1 + t) / (10 + t)) so that the first, random
  * weights are soon forgotten. The average changes places with the weights for a validation and for what is written: a
  * checkpoint's /model is what should be used, and the weights that training goes on from stand beside it. */
+#include "train/average.kernel.h"
+#include "train/chunks.h"
 #include "train/state.h"
 
 #include <math.h>
-#include <string.h>
-
-enum { CHUNK = 4096 };
 
 struct hg_average {
     hg_ctx *ctx;
-    hg_tensor **params;
+    hg_chunks chunks;
     hg_tensor *other; /* [all parameters in order]: the average, or the weights while it is in their place */
-    int64_t total;
-    int n;
-};
-
-typedef struct {
-    float *a, *b;
-    float rate; /* negative: exchange */
-} move_args;
-
-static void move_body(const void *args_, int64_t first, int64_t last)
-{
-    const move_args *args = args_;
-    float *restrict a = args->a, *restrict b = args->b;
-    if (args->rate >= 0)
-        for (int64_t i = first; i < last; i++) a[i] += args->rate * (b[i] - a[i]);
-    else
-        for (int64_t i = first; i < last; i++) {
-            const float kept = a[i];
-            a[i] = b[i];
-            b[i] = kept;
-        }
-}
-
-static const hg_kernel move_kernel = {
-    .name = "average", .args_size = sizeof(move_args), .cpu = move_body, .block = CHUNK
+    float rate;       /* of the step that is made */
 };
 
 static hg_status move(hg_average *average, float rate)
 {
-    float *at = average->other->data;
-    for (int i = 0; i < average->n; i++) {
-        hg_tensor *param = average->params[i];
-        const int64_t count = hg_tensor_count(param);
-        const move_args args = { at, param->data, rate };
-        HG_TRY(hg_launch(average->ctx, &move_kernel, count, &args));
-        if (rate < 0) hg_tensor_touch(param);
-        at += count;
-    }
+    const hg_chunk *chunks = hg_chunks_table(&average->chunks, false);
+    if (!chunks) return HG_MEMORY;
+    average->rate = rate;
+    const hg_step_mark mark = hg_step_set_mark(average->ctx);
+    const hg_tensor *number = hg_tensor_from(average->ctx, HG_F32, 0, NULL, &average->rate);
+    if (!number) return hg_ctx_status(average->ctx);
+    const average_args args = { chunks, average->other->data, number->data };
+    HG_TRY(hg_launch(average->ctx, &average_kernel, average->chunks.n_chunks, &args));
+    hg_step_rewind(average->ctx, mark);
+    hg_tensor_touch(average->other);
+    for (int i = 0; rate < 0 && i < average->chunks.n; i++) hg_tensor_touch(average->chunks.params[i]);
     return HG_OK;
 }
 
@@ -60,16 +37,14 @@ hg_status hg_average_create(hg_average **out, hg_ctx *ctx, int n, hg_tensor *con
     hg_average *average = hg_alloc(1, sizeof *average);
     if (!average) return HG_MEMORY;
     average->ctx = ctx;
-    average->n = n;
-    for (int i = 0; i < n; i++) average->total += hg_tensor_count(params[i]);
-    average->params = hg_alloc((size_t)(n ? n : 1), sizeof *average->params);
-    average->other = hg_tensor_create(ctx, HG_F32, 1, &average->total);
-    if (!average->params || !average->other) {
+    hg_status status = hg_chunks_create(&average->chunks, ctx, n, params);
+    average->other = status == HG_OK ? hg_tensor_create(ctx, HG_F32, 1, &average->chunks.total) : NULL;
+    if (!average->other) {
+        const int64_t total = average->chunks.total;
         hg_average_destroy(average);
-        return hg_fail(HG_MEMORY, "trainer: no memory for the average of %lld weights", (long long)average->total);
+        return hg_fail(HG_MEMORY, "trainer: no memory for the average of %lld weights", (long long)total);
     }
-    if (n) memcpy(average->params, params, (size_t)n * sizeof *params);
-    const hg_status status = move(average, 1); /* the average of one set of weights: a + (w - a) with a = 0 */
+    status = move(average, 1); /* the average of one set of weights: a + (w - a) with a = 0 */
     if (status != HG_OK) {
         hg_average_destroy(average);
         return status;
@@ -82,7 +57,7 @@ void hg_average_destroy(hg_average *average)
 {
     if (!average) return;
     hg_tensor_destroy(average->other);
-    hg_free(average->params);
+    hg_chunks_destroy(&average->chunks);
     hg_free(average);
 }
 
@@ -97,14 +72,10 @@ hg_status hg_average_exchange(hg_average *average) { return average ? move(avera
 
 hg_status hg_average_save(const hg_average *average, hg_h5 *file)
 {
-    return hg_h5_write(file, "/average/weights", HG_F32, 1, &average->total, average->other->data);
+    return hg_state_write_tensor(file, "/average/weights", average->other);
 }
 
 hg_status hg_average_load(hg_average *average, hg_h5 *file)
 {
-    void *weights = NULL;
-    hg_status status = hg_h5_read(file, "/average/weights", HG_F32, 1, &average->total, NULL, &weights);
-    if (status == HG_OK) status = hg_tensor_write(average->other, weights);
-    hg_free(weights);
-    return status;
+    return hg_state_read_tensor(file, "/average/weights", average->other);
 }

@@ -23,6 +23,27 @@ hg_status hg_state_read_count(hg_h5 *file, const char *name, int64_t *value)
     return HG_OK;
 }
 
+hg_status hg_state_write_tensor(hg_h5 *file, const char *name, const hg_tensor *tensor)
+{
+    if (hg_ctx_host(tensor->ctx))
+        return hg_h5_write(file, name, tensor->dtype, tensor->rank, tensor->shape, tensor->data);
+    void *copy = hg_alloc(hg_tensor_bytes(tensor) + 1, 1);
+    if (!copy) return HG_MEMORY;
+    hg_status status = hg_tensor_read(tensor, copy);
+    if (status == HG_OK) status = hg_h5_write(file, name, tensor->dtype, tensor->rank, tensor->shape, copy);
+    hg_free(copy);
+    return status;
+}
+
+hg_status hg_state_read_tensor(hg_h5 *file, const char *name, hg_tensor *tensor)
+{
+    void *values = NULL;
+    HG_TRY(hg_h5_read(file, name, tensor->dtype, tensor->rank, tensor->shape, NULL, &values));
+    const hg_status status = hg_tensor_write(tensor, values);
+    hg_free(values);
+    return status;
+}
+
 static hg_status write_all(hg_h5 *file, const hg_model *model, const hg_adam *adam, const hg_average *average,
                            const hg_train_state *state, const hg_task *task, const char *backend, uint64_t config_hash)
 {
@@ -32,7 +53,7 @@ static hg_status write_all(hg_h5 *file, const hg_model *model, const hg_adam *ad
         const hg_tensor *param = model->params[i];
         char name[160];
         snprintf(name, sizeof name, "/model/%s", param->name);
-        HG_TRY(hg_h5_write(file, name, param->dtype, param->rank, param->shape, param->data));
+        HG_TRY(hg_state_write_tensor(file, name, param));
     }
     if (adam) HG_TRY(hg_adam_save(adam, file));
     if (average) HG_TRY(hg_average_save(average, file));
@@ -74,11 +95,7 @@ static hg_status read_weights(hg_h5 *file, const char *path, hg_model *model)
         hg_tensor *param = model->params[i];
         char name[160];
         snprintf(name, sizeof name, "/model/%s", param->name);
-        void *values = NULL;
-        HG_TRY(hg_h5_read(file, name, param->dtype, param->rank, param->shape, NULL, &values));
-        const hg_status written = hg_tensor_write(param, values);
-        hg_free(values);
-        HG_TRY(written);
+        HG_TRY(hg_state_read_tensor(file, name, param));
     }
     return HG_OK;
 }

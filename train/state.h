@@ -23,6 +23,9 @@ hg_status hg_average_load(hg_average *average, hg_h5 *file);
 
 hg_status hg_adam_save(const hg_adam *adam, hg_h5 *file);
 hg_status hg_adam_load(hg_adam *adam, hg_h5 *file);
+/* A tensor of any device as a dataset; read into one of the same shape. */
+hg_status hg_state_write_tensor(hg_h5 *file, const char *name, const hg_tensor *tensor);
+hg_status hg_state_read_tensor(hg_h5 *file, const char *name, hg_tensor *tensor);
 hg_status hg_state_read_count(hg_h5 *file, const char *name, int64_t *value); /* a step number */
 
 /* average, NULL: none. It stands in the place of the weights at both calls. */

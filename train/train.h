@@ -75,8 +75,10 @@ hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_t
 typedef struct hg_adam hg_adam;
 hg_status hg_adam_create(hg_adam **adam, hg_ctx *ctx, int n, hg_tensor *const *params);
 void      hg_adam_destroy(hg_adam *adam);
-/* Clips the global norm, then steps. A non-finite gradient leaves everything as it was and is HG_NUMERIC. */
+/* Clips the global norm, then steps. A non-finite gradient leaves everything as it was and is HG_NUMERIC. On a device the host
+ * does not wait for that: it is told by hg_adam_check, and nothing is stepped until then (with a gradient_norm, at once). */
 hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double beta2, double epsilon, double weight_decay, double clip, double *gradient_norm);
+hg_status hg_adam_check(hg_adam *adam, double *gradient_norm);   /* of the last step; waits for the device. HG_NUMERIC: the first step since the last check whose gradient was not finite */
 
 /* Checkpoints: parameters by name under /model, and what the trainer and the task need to go on. */
 hg_status hg_checkpoint_save(const char *path, const hg_model *model, const hg_adam *adam, int64_t step, const hg_task *task, const char *backend, uint64_t config_hash);

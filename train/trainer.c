@@ -2,7 +2,11 @@
  *
  * The learning rate rises linearly over the warm-up and then falls along a half cosine. With a time limit the cosine
  * also follows the clock, so that the rate has come down when the time is over: such a run is not reproducible, and its
- * log says so. Everything else depends on (seed, step) alone. */
+ * log says so. Everything else depends on (seed, step) alone.
+ *
+ * On a device nothing in a step waits for it: while it computes one step, the host samples the next and sends it after. The
+ * batch may be filled again at once, since what is sent has been copied (hg_tensor_write). Loss, norm and what was not finite are
+ * read when they are logged, and before anything is kept. */
 #include "train/log.h"
 #include "train/state.h"
 
@@ -57,7 +61,9 @@ typedef struct {
     hg_run_log *log;
     hg_events *events;
     char *checkpoint, *best, *report;
+    char *backend; /* the options', and the device where it is not the processor */
     void *batch;
+    const hg_tensor *loss_tensor; /* of the step that was made, until the next; NULL: it is read */
     hg_train_state state;
     hg_report last;      /* of the last logged step */
     hg_report validated; /* of the last validation */
@@ -68,14 +74,34 @@ typedef struct {
 
 static double elapsed(const run *r) { return r->state.seconds + seconds_now() - r->started; }
 
+static hg_status loss_is_bad(const run *r, int64_t step)
+{
+    return hg_fail(HG_NUMERIC,
+                   "trainer: the loss is %g at step %lld; try a smaller learning rate, or --trap-nan to see where it "
+                   "comes from",
+                   r->loss, (long long)step);
+}
+
+/* What a device has found, and the loss of the last step: waits for it. */
+static hg_status look(run *r, double *norm)
+{
+    if (hg_ctx_host(r->ctx)) return HG_OK;
+    const hg_status status = hg_adam_check(r->adam, norm);
+    if (!r->loss_tensor) return status;
+    r->loss = hg_tensor_item(r->loss_tensor, 0);
+    r->loss_tensor = NULL;
+    return isfinite(r->loss) ? status : loss_is_bad(r, r->state.step);
+}
+
 static hg_status save(run *r, const char *path)
 {
     if (!path) return HG_OK;
+    HG_TRY(look(r, NULL));
     hg_train_state state = r->state;
     state.seconds = elapsed(r);
     HG_TRY(hg_average_exchange(r->average));
-    const hg_status status = hg_state_save(path, r->model, r->adam, r->average, &state, r->task, r->options->backend,
-                                           r->options->config_hash);
+    const hg_status status =
+        hg_state_save(path, r->model, r->adam, r->average, &state, r->task, r->backend, r->options->config_hash);
     HG_TRY(hg_average_exchange(r->average));
     return status;
 }
@@ -93,12 +119,11 @@ static hg_status resume(run *r)
         status = hg_fail(HG_INVALID,
                          "%s: it belongs to another config; train into another folder, or start again without resuming",
                          r->checkpoint);
-    else if (status == HG_OK && strcmp(backend, options->backend ? options->backend : "") &&
-             !options->allow_other_backend)
+    else if (status == HG_OK && strcmp(backend, r->backend) && !options->allow_other_backend)
         status = hg_fail(HG_INVALID,
                          "%s: it was trained on \"%s\" and this is \"%s\", which rounds differently; allow another "
                          "back end to go on anyway",
-                         r->checkpoint, backend, options->backend ? options->backend : "");
+                         r->checkpoint, backend, r->backend);
     hg_free(backend);
     if (status == HG_OK) status = hg_average_exchange(r->average);
     r->resumed = status == HG_OK;
@@ -116,36 +141,43 @@ static hg_status draw_graph(const run *r)
     return status;
 }
 
-static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
+/* Everything of a step that the device does. */
+static hg_status compute_step(run *r, hg_report *report, double *norm, double *rate)
 {
     const hg_train_options *options = r->options;
-    const uint64_t step = (uint64_t)r->state.step;
-    hg_ctx_clear(r->ctx);
-    hg_step_reset(r->ctx);
-    hg_profile_begin(r->ctx, "step", "sample");
-    HG_TRY(r->task->sample(r->task->self, r->ctx, hg_ctx_seed(r->ctx), step, r->batch));
-    hg_profile_end(r->ctx, 0);
+    const bool host = hg_ctx_host(r->ctx);
     hg_profile_begin(r->ctx, "step", "loss");
     hg_tensor *loss = r->task->loss(r->task->self, r->ctx, r->model, r->batch, report);
     hg_profile_end(r->ctx, 0);
     HG_TRY(hg_ctx_status(r->ctx));
-    if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %llu", (unsigned long long)step + 1);
-    r->loss = hg_tensor_item(loss, 0);
-    if (!isfinite(r->loss))
-        return hg_fail(
-            HG_NUMERIC,
-            "trainer: the loss is %g at step %llu; try a smaller learning rate, or --trap-nan to see where it "
-            "comes from",
-            r->loss, (unsigned long long)step + 1);
+    if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %lld", (long long)r->state.step + 1);
+    if (host) r->loss = hg_tensor_item(loss, 0);
+    if (host && !isfinite(r->loss)) return loss_is_bad(r, r->state.step + 1);
+    if (!host) r->loss_tensor = loss;
     hg_profile_begin(r->ctx, "step", "backward");
     HG_TRY(hg_backward(r->ctx, loss));
     hg_profile_end(r->ctx, 0);
     HG_TRY(draw_graph(r));
     *rate = learning_rate(options, r->state.step, elapsed(r));
     HG_TRY(hg_adam_step(r->adam, *rate, options->beta1, options->beta2, options->epsilon, options->weight_decay,
-                        options->clip, norm));
+                        options->clip, host ? norm : NULL));
     r->state.step++;
-    HG_TRY(hg_average_step(r->average, options->ema, r->state.step));
+    return hg_average_step(r->average, options->ema, r->state.step);
+}
+
+static hg_status one_step(run *r, hg_report *report, double *norm, double *rate)
+{
+    hg_ctx_clear(r->ctx);
+    hg_step_reset(r->ctx);
+    r->loss_tensor = NULL;
+    hg_profile_begin(r->ctx, "step", "sample");
+    HG_TRY(r->task->sample(r->task->self, r->ctx, hg_ctx_seed(r->ctx), (uint64_t)r->state.step, r->batch));
+    hg_profile_end(r->ctx, 0);
+    HG_TRY(hg_step_record(r->ctx));
+    const hg_status status = compute_step(r, report, norm, rate);
+    const hg_status done = hg_step_run(r->ctx);
+    HG_TRY(status);
+    HG_TRY(done);
     hg_profile_step(r->ctx);
     return HG_OK;
 }
@@ -159,12 +191,14 @@ static hg_status log_report(run *r, const hg_report *report)
 static hg_status validate(run *r)
 {
     if (!r->task->validate) return HG_OK;
+    HG_TRY(look(r, NULL));
     hg_report report = { 0 };
     hg_ctx_clear(r->ctx);
     hg_step_reset(r->ctx);
     HG_TRY(hg_average_exchange(r->average));
     HG_TRY(r->task->validate(r->task->self, r->ctx, r->model, &report));
     HG_TRY(hg_ctx_status(r->ctx));
+    hg_report_settle(&report);
     HG_TRY(hg_average_exchange(r->average));
     r->validated = report;
     HG_TRY(log_report(r, &report));
@@ -238,7 +272,11 @@ static hg_status loop(run *r, bool *interrupted)
         double norm = 0, rate = 0;
         HG_TRY(one_step(r, &report, &norm, &rate));
         const int64_t step = r->state.step;
-        if (every(step, options->log_every) || step == options->steps) HG_TRY(write_log(r, &report, norm, rate));
+        if (step == r->first_step + 1) HG_TRY(look(r, &norm)); /* so that the progress has a loss to show */
+        if (every(step, options->log_every) || step == options->steps) {
+            HG_TRY(look(r, &norm));
+            HG_TRY(write_log(r, &report, norm, rate));
+        }
         if (every(step, options->validate_every) && step != options->steps) {
             HG_TRY(validate(r));
             if (out_of_patience(r)) {
@@ -284,6 +322,9 @@ static hg_status prepare(run *r)
     r->state.best_validation = INFINITY;
     r->batch = hg_alloc(1, r->task->batch_bytes ? r->task->batch_bytes : 1);
     if (!r->batch) return HG_MEMORY;
+    const char *backend = r->options->backend ? r->options->backend : "";
+    r->backend = hg_ctx_host(r->ctx) ? hg_strdup(backend) : hg_format("%s on %s", backend, hg_ctx_device(r->ctx));
+    if (!r->backend) return HG_MEMORY;
     HG_TRY(hg_adam_create(&r->adam, r->ctx, r->model->n_params, r->model->params));
     if (r->options->ema > 0) HG_TRY(hg_average_create(&r->average, r->ctx, r->model->n_params, r->model->params));
     if (!folder) return start(r);
@@ -347,6 +388,7 @@ hg_status hg_train(hg_ctx *ctx, hg_model *model, const hg_task *task, const hg_t
     hg_adam_destroy(r.adam);
     hg_average_destroy(r.average);
     hg_free(r.batch);
+    hg_free(r.backend);
     hg_free(r.checkpoint);
     hg_free(r.best);
     hg_free(r.report);
