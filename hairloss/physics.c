@@ -2,6 +2,7 @@
  * before it, pairs and fields have passes of their own after it. On the tape it is one op: value and gradient are made
  * together, and backward only scales what was made. */
 #include "hairloss/physics_inputs.h"
+#include "hairloss/physics_kernels.h"
 
 #include "autograd/tape.h"
 #include "geometry/vector.h"
@@ -50,10 +51,11 @@ struct hg_physics {
     int contact; /* term that asks for it, -1: none */
     hg_contact_mode mode;
     hg_body_refit **refits; /* one per frame of the batch */
-    int32_t *triangles;     /* [B,S,V] the last closest triangles: guesses for the next call */
+    hg_tensor *triangles;   /* [B,S,V] the last closest triangles: guesses for the next call */
     int64_t frames;         /* how many the two have room for */
-    double *sums;           /* [n] */
-    hg_tensor *unweighted;  /* [n] of the last call on the tape, of its step */
+    hg_tensor *weights;     /* [n] f64 */
+    hg_tensor *unweighted;  /* [n] f64 of the last call, of its step */
+    double *sums;           /* [n] the same, read back where the host asks for it */
 };
 
 int hg_physics_terms(const hg_physics *physics) { return physics->n; }
@@ -195,6 +197,14 @@ static hg_status make_others(hg_physics *p)
     return HG_OK;
 }
 
+static hg_status make_weights(hg_physics *p)
+{
+    p->weights = hg_tensor_create(p->ctx, HG_F64, 1, (int64_t[]){ p->n });
+    if (!p->weights) return HG_MEMORY;
+    for (int t = 0; t < p->n; t++) p->sums[t] = p->terms[t].weight;
+    return hg_tensor_write(p->weights, p->sums);
+}
+
 hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, const hg_term *terms, int n,
                             const hg_groom_data *data)
 {
@@ -224,6 +234,7 @@ hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, c
         status = hg_strand_pass_create(&p->strands[0].pass, ctx, dtype, p->n_window, p->window_terms, p->window_column,
                                        &p->data, NULL, true);
     if (status == HG_OK) status = make_others(p);
+    if (status == HG_OK) status = make_weights(p);
     if (status != HG_OK) {
         hg_physics_destroy(p);
         return status;
@@ -247,7 +258,8 @@ void hg_physics_destroy(hg_physics *physics)
     hg_free((void *)physics->data.rest);
     hg_free((void *)physics->data.mass);
     hg_free(physics->refits);
-    hg_free(physics->triangles);
+    hg_tensor_destroy(physics->triangles);
+    hg_tensor_destroy(physics->weights);
     hg_free(physics->terms);
     hg_free(physics->params);
     hg_free(physics->options);
@@ -321,7 +333,8 @@ static hg_status check_frame(const hg_physics *p, const hg_frame *frame, const h
     return HG_OK;
 }
 
-/* Contact matters up to 2 D: of the terms, or of what this call gives in their place (the largest of it). */
+/* Contact matters up to 2 D: of the terms, or of what this call gives in their place (the largest of it). What is given in the
+ * memory of a device is not waited for: then the search has no bound. */
 static double contact_reach(const hg_physics *p, const hg_physics_values *values)
 {
     double reach = 0;
@@ -334,6 +347,7 @@ static double contact_reach(const hg_physics *p, const hg_physics_values *values
             if (value->kind != HG_INPUT_PARAM || value->term != t ||
                 strcmp(p->terms[t].energy->params[value->param].name, "distance") != 0)
                 continue;
+            if (!hg_ctx_host(p->ctx)) return (double)INFINITY;
             distance = 0;
             for (int64_t k = 0; k < values->count[i]; k++)
                 distance = fmax(distance, p->dtype == HG_F64 ? ((const double *)value->values)[k]
@@ -358,15 +372,15 @@ static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame,
         hg_body_refit **refits = hg_resize(p->refits, (size_t)p->frames, (size_t)B, sizeof *refits);
         if (!refits) return HG_MEMORY;
         p->refits = refits;
-        int32_t *triangles =
-            hg_resize(p->triangles, (size_t)(p->frames * points) + 1, (size_t)(B * points) + 1, sizeof *triangles);
+        hg_tensor *triangles = hg_tensor_create(ctx, HG_I32, 1, (int64_t[]){ B * points });
         if (!triangles) return HG_MEMORY;
+        hg_tensor_destroy(p->triangles);
         p->triangles = triangles;
-        for (int64_t i = p->frames * points; i < B * points; i++) triangles[i] = -1;
+        HG_TRY(hg_tensor_fill(triangles, -1));
         for (; p->frames < B; p->frames++) HG_TRY(hg_body_refit_create(&p->refits[p->frames], p->data.body, p->dtype));
     }
-    *point = hg_step_alloc(ctx, bytes + 1);
-    *normal = hg_step_alloc(ctx, bytes + 1);
+    *point = hg_step_device(ctx, bytes + 1);
+    *normal = hg_step_device(ctx, bytes + 1);
     if (!*point || !*normal)
         return hg_fail(HG_MEMORY, "out of memory for the contacts of %lld vertices", (long long)(B * points));
     for (int64_t b = 0; b < B; b++) {
@@ -374,7 +388,7 @@ static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame,
         HG_TRY(hg_body_refit_update(ctx, p->refits[b],
                                     (const char *)frame->body_vertices->data + (size_t)(b * N * 3) * size));
         HG_TRY(hg_body_closest(ctx, p->refits[b], p->mode, reach, points, (const char *)x->data + at,
-                               p->triangles + b * points, (char *)*point + at, (char *)*normal + at));
+                               (int32_t *)p->triangles->data + b * points, (char *)*point + at, (char *)*normal + at));
     }
     return HG_OK;
 }
@@ -407,46 +421,62 @@ static hg_status find_strands(hg_physics *p, const hg_physics_resolver *resolver
     return hg_strand_pass_backend(room->pass, p->ctx, p->backend, NULL);
 }
 
-/* sums[n] is set; per_strand [B,S,n] and gradient are set where not NULL; values gets what the frame brings, with the
- * gradients of tensors that need one where they are wanted. */
+/* The groom of each frame in the device's memory; NULL where all are 0. */
+static hg_status put_grooms(const hg_physics *p, hg_ctx *ctx, const hg_frame *frame, int64_t frames,
+                            const int32_t **groom)
+{
+    *groom = frame->groom;
+    if (hg_ctx_host(ctx) || !frame->groom || frames == 0) return HG_OK;
+    *groom = NULL;
+    if (p->data.grooms == 1) return HG_OK;
+    const hg_tensor *there = hg_tensor_from(ctx, HG_I32, 1, &frames, frame->groom);
+    if (!there) return HG_MEMORY;
+    *groom = there->data;
+    return HG_OK;
+}
+
+/* p->unweighted is made and set; per_strand [B,S,n] of the device and gradient are set where not NULL; values gets what the
+ * frame brings, with the gradients of tensors that need one where they are wanted. */
 static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x, bool gradients,
-                     hg_physics_values *values, double *sums, double *per_strand, void *gradient)
+                     hg_physics_values *values, double *per_strand, void *gradient)
 {
     HG_TRY(check_frame(p, frame, x));
     hg_physics_resolver resolver = { ctx,      p->dtype, &p->data,    p->terms,  p->n,
                                      &p->asks, frame,    x->shape[0], gradients, values };
     HG_TRY(hg_physics_resolve(&resolver));
-    for (int t = 0; t < p->n; t++) sums[t] = 0;
+    p->unweighted = hg_tensor_make(ctx, HG_F64, 1, (int64_t[]){ p->n });
+    if (!p->unweighted) return HG_MEMORY;
+    double *sums = p->unweighted->data;
+    hg_pass_call call = { .frame = frame,
+                          .x = x,
+                          .n_values = values->n,
+                          .values = values->value,
+                          .gradient = gradient,
+                          .unweighted = sums,
+                          .per_strand = per_strand,
+                          .stride = p->n };
+    HG_TRY(put_grooms(p, ctx, frame, x->shape[0], &call.groom));
     void *point, *normal;
     HG_TRY(find_contact(p, ctx, frame, x, contact_reach(p, values), &point, &normal));
     if (p->n_window) {
         hg_strand_pass *strands;
         HG_TRY(find_strands(p, &resolver, &strands));
         hg_profile_begin(ctx, "energies", p->window_names);
-        HG_TRY(hg_strand_pass_run(strands, ctx, frame, x, point, normal, values->n, values->value, gradient, sums,
-                                  per_strand, p->n));
+        HG_TRY(hg_strand_pass_run(strands, &call, point, normal));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) *
                                 (1 + (frame->predicted != NULL) + 2 * (point != NULL) + (gradient != NULL)));
     } else if (gradient) {
-        memset(gradient, 0, hg_tensor_bytes(x));
+        HG_TRY(hg_physics_zero(ctx, p->dtype, hg_tensor_count(x), gradient));
     }
     for (int i = 0; i < p->n_others; i++) {
         const int t = p->others[i].term;
         hg_profile_begin(ctx, "energies", p->terms[t].energy->name);
-        const hg_pass_call call = { .frame = frame,
-                                    .groom = frame->groom,
-                                    .x = x,
-                                    .n_values = values->n,
-                                    .values = values->value,
-                                    .gradient = gradient,
-                                    .unweighted = &sums[t],
-                                    .per_strand = per_strand ? per_strand + t : NULL,
-                                    .stride = p->n };
+        call.unweighted = sums + t;
+        call.per_strand = per_strand ? per_strand + t : NULL;
         HG_TRY(p->others[i].kind->run(p->others[i].self, ctx, &call));
         hg_profile_end(ctx, (int64_t)hg_tensor_bytes(x) * (1 + 2 * (gradient != NULL)));
     }
-    hg_physics_chain(&resolver);
-    return HG_OK;
+    return hg_physics_chain(&resolver);
 }
 
 /* Outside of the tape, too, a trap that is set stops at what is not finite. */
@@ -455,6 +485,7 @@ static hg_status check_trap(const hg_physics *p, hg_ctx *ctx, const hg_frame *fr
     const char *path;
     bool finite = true;
     if (!hg_trap_is_on(ctx, &path)) return HG_OK;
+    HG_TRY(hg_tensor_read(p->unweighted, p->sums));
     for (int t = 0; t < p->n; t++) finite = finite && isfinite(p->sums[t]);
     if (finite) return HG_OK;
     hg_text text = { 0 };
@@ -471,9 +502,16 @@ hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *
     if (!x) return hg_fail(HG_INVALID, "physics: x is NULL");
     hg_physics_values values;
     HG_TRY(check(physics, gradient, "gradient", x->rank, x->shape));
-    HG_TRY(run(physics, ctx, frame, x, false, &values, physics->sums, per_strand, gradient ? gradient->data : NULL));
+    hg_tensor *strands = NULL; /* per_strand is of the host */
+    if (per_strand && !hg_ctx_host(ctx)) {
+        strands = hg_tensor_make(ctx, HG_F64, 3, (int64_t[]){ x->shape[0], x->shape[1], physics->n });
+        if (!strands) return HG_MEMORY;
+    }
+    HG_TRY(run(physics, ctx, frame, x, false, &values, strands ? strands->data : per_strand,
+               gradient ? gradient->data : NULL));
     if (gradient) hg_tensor_touch(gradient);
-    if (unweighted) memcpy(unweighted, physics->sums, (size_t)physics->n * sizeof *unweighted);
+    if (unweighted) HG_TRY(hg_tensor_read(physics->unweighted, unweighted));
+    if (strands && hg_tensor_count(strands)) HG_TRY(hg_tensor_read(strands, per_strand));
     return check_trap(physics, ctx, frame, x);
 }
 
@@ -531,54 +569,24 @@ static hg_status physics_forward(hg_call *call)
     hg_tensor *x = call->in[0];
     const bool recorded = hg_call_recorded(call);
     hg_physics_values values;
-    if (recorded && hg_needs_grad(x) && !(attributes->gradient[0] = hg_step_alloc(call->ctx, hg_tensor_bytes(x) + 1)))
+    if (recorded && hg_needs_grad(x) && !(attributes->gradient[0] = hg_step_device(call->ctx, hg_tensor_bytes(x) + 1)))
         return HG_MEMORY;
-    HG_TRY(run(p, call->ctx, &attributes->frame, x, recorded, &values, p->sums, NULL, attributes->gradient[0]));
+    HG_TRY(run(p, call->ctx, &attributes->frame, x, recorded, &values, NULL, attributes->gradient[0]));
     for (int i = 1; i < call->n_in && recorded; i++)
         if (!(attributes->gradient[i] = hg_physics_gradient(call->ctx, &values, call->in[i]))) return HG_MEMORY;
     HG_TRY(keep_inputs(call->ctx, &attributes->frame));
-    double total = 0;
-    for (int t = 0; t < p->n; t++) total += p->terms[t].weight * p->sums[t];
-    if (attributes->unweighted) memcpy(attributes->unweighted, p->sums, (size_t)p->n * sizeof(double));
-    p->unweighted = hg_tensor_make(call->ctx, HG_F64, 1, (int64_t[]){ p->n });
-    if (!p->unweighted) return HG_MEMORY;
-    HG_TRY(hg_tensor_write(p->unweighted, p->sums));
-    return hg_tensor_fill(call->out, total);
-}
-
-typedef struct {
-    const void *from;
-    void *to;
-    double scale;
-    hg_dtype dtype;
-} scale_work;
-
-static void add_scaled(const void *args, int64_t first, int64_t last)
-{
-    const scale_work *work = args;
-    if (work->dtype == HG_F64) {
-        const double *from = work->from;
-        double *to = work->to;
-        for (int64_t i = first; i < last; i++) to[i] += work->scale * from[i];
-    } else {
-        const float *from = work->from, scale = (float)work->scale;
-        float *to = work->to;
-        for (int64_t i = first; i < last; i++) to[i] += scale * from[i];
-    }
+    HG_TRY(hg_physics_weigh(call->ctx, p->n, p->unweighted->data, p->weights->data, call->out));
+    return attributes->unweighted ? hg_tensor_read(p->unweighted, attributes->unweighted) : HG_OK;
 }
 
 static hg_status physics_backward(hg_call *call)
 {
-    static const hg_kernel kernel = {
-        .name = "physics_backward", .args_size = sizeof(scale_work), .cpu = add_scaled, .block = 65536
-    };
     const physics_call *attributes = call->attributes;
-    const double scale = hg_tensor_item(hg_grad(call->out), 0);
-    for (int i = 0; i < call->n_in; i++) {
-        if (!hg_needs_grad(call->in[i])) continue;
-        const scale_work work = { attributes->gradient[i], hg_grad(call->in[i])->data, scale, call->in[i]->dtype };
-        HG_TRY(hg_launch(call->ctx, &kernel, hg_tensor_count(call->in[i]), &work));
-    }
+    for (int i = 0; i < call->n_in; i++)
+        if (hg_needs_grad(call->in[i]))
+            HG_TRY(hg_physics_add_scaled(call->ctx, call->in[i]->dtype, hg_tensor_count(call->in[i]),
+                                         attributes->gradient[i], hg_grad(call->out)->data,
+                                         hg_grad(call->in[i])->data));
     return HG_OK;
 }
 

@@ -88,11 +88,9 @@ hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend b
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass);
 const char *hg_strand_pass_backend_note(const hg_strand_pass *pass); /* why, how long */
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
-/* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. gradient (NULL: not wanted) and those of
- * the values are SET. unweighted[column[i]] and per_strand[.. * stride + column[i]] are set. */
-hg_status hg_strand_pass_run(hg_strand_pass *pass, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
-                             const void *contact_point, const void *contact_normal, int n_values,
-                             const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
-                             int64_t stride);
+/* contact_point, contact_normal [B,S,V,3]: NULL unless a term asks for contact. The gradients of x and of the values are SET;
+ * so are unweighted[column[i]] and per_strand[.. * stride + column[i]]. */
+hg_status hg_strand_pass_run(hg_strand_pass *pass, const hg_pass_call *call, const void *contact_point,
+                             const void *contact_normal);
 
 #endif

@@ -1,6 +1,7 @@
 /* What a call of a physics brings: names become values of params, of the groom and of the frame, checked, in the shape in
  * which the passes take them; and the gradients of those values go back to the tensors that they came from. */
 #include "hairloss/physics_inputs.h"
+#include "hairloss/physics_kernels.h"
 
 #include <math.h>
 #include <stdio.h>
@@ -119,10 +120,8 @@ static hg_status add_value(hg_physics_resolver *r, hg_pass_value value, hg_tenso
     if (to->n == HG_PHYSICS_VALUES)
         return hg_fail(HG_UNSUPPORTED, "physics: more than %d values are given in one call", HG_PHYSICS_VALUES);
     if (tensor && r->gradients && hg_needs_grad(tensor)) {
-        const size_t bytes = (size_t)n * hg_dtype_size(r->dtype);
-        value.gradient = hg_step_alloc(r->ctx, bytes + 1);
+        value.gradient = hg_physics_zeros(r->ctx, r->dtype, n);
         if (!value.gradient) return HG_MEMORY;
-        memset(value.gradient, 0, bytes);
         to->tensor[to->n] = tensor;
     } else {
         to->tensor[to->n] = NULL;
@@ -130,14 +129,6 @@ static hg_status add_value(hg_physics_resolver *r, hg_pass_value value, hg_tenso
     to->count[to->n] = n;
     to->value[to->n++] = value;
     return HG_OK;
-}
-
-static void *repeat(const hg_physics_resolver *r, const hg_tensor *tensor)
-{
-    const size_t row = (size_t)hg_tensor_count(tensor) * hg_dtype_size(r->dtype);
-    char *to = hg_step_alloc(r->ctx, (size_t)r->frames * row + 1);
-    for (int64_t b = 0; to && row && b < r->frames; b++) memcpy(to + (size_t)b * row, tensor->data, row);
-    return to;
 }
 
 /* A number: [], per strand [S], or per strand and frame [B,S]. */
@@ -148,7 +139,8 @@ static hg_status number(hg_physics_resolver *r, const char *name, hg_tensor *ten
     value.values = tensor->data;
     if (value.uniform) return add_value(r, value, tensor, 1);
     if (has_shape(r, tensor, 1, strands)) {
-        if (!(value.values = repeat(r, tensor))) return HG_MEMORY;
+        value.values = hg_physics_repeat(r->ctx, r->dtype, S, r->frames * S, tensor->data);
+        if (!value.values) return HG_MEMORY;
     } else if (!has_shape(r, tensor, 2, both)) {
         return wrong_shape(r, name, tensor, "[], [S] or [B,S]");
     }
@@ -220,7 +212,7 @@ static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tens
     if (is_param) return HG_OK;
     if (strcmp(name, "dt") == 0 && asks->kinds & HG_ALLOW(HG_INPUT_DT)) {
         HG_TRY(number(r, name, tensor, (hg_pass_value){ .kind = HG_INPUT_DT }));
-        for (int64_t i = 0; i < hg_tensor_count(tensor); i++)
+        for (int64_t i = 0; hg_ctx_host(r->ctx) && i < hg_tensor_count(tensor); i++) /* a device is not waited for */
             if (!(hg_tensor_item(tensor, i) > 0))
                 return hg_fail(HG_INVALID, "physics: input 'dt' is %g s at number %lld; a time step is positive",
                                hg_tensor_item(tensor, i), (long long)i);
@@ -240,11 +232,6 @@ static hg_status named(hg_physics_resolver *r, const char *name, hg_tensor *tens
     return unknown(r, name);
 }
 
-static double real_at(hg_dtype dtype, const void *values, int64_t at)
-{
-    return dtype == HG_F64 ? ((const double *)values)[at] : (double)((const float *)values)[at];
-}
-
 /* ---- the mean deformation ----------------------------------------------------------------------------------- */
 
 static const hg_pass_value *find_frame(const hg_physics_values *values, const char *name)
@@ -255,38 +242,11 @@ static const hg_pass_value *find_frame(const hg_physics_values *values, const ch
     return NULL;
 }
 
-typedef struct {
-    hg_dtype dtype;
-    int64_t group, row; /* frames of a sequence, values of a frame */
-    const void *from;
-    void *to;
-} mean_work;
-
-static void mean_rows(const void *args, int64_t first, int64_t last)
-{
-    const mean_work *work = args;
-    for (int64_t at = first; at < last; at++) {
-        const int64_t begin = at / work->row * work->group * work->row + at % work->row;
-        double sum = 0;
-        for (int64_t f = 0; f < work->group; f++) sum += real_at(work->dtype, work->from, begin + f * work->row);
-        for (int64_t f = 0; f < work->group; f++) {
-            const int64_t k = begin + f * work->row;
-            if (work->dtype == HG_F64)
-                ((double *)work->to)[k] = sum / (double)work->group;
-            else
-                ((float *)work->to)[k] = (float)(sum / (double)work->group);
-        }
-    }
-}
-
 /* "deformation_mean" where a formula reads it and the frame does not bring it: the mean of "deformation" over each run of
  * frame->consecutive frames. No gradient goes through it: the gradient of sum_i |dbar - d_i|^2 by dbar is
  * 2 sum_i (dbar - d_i), which is exactly zero. */
 static hg_status make_mean(hg_physics_resolver *r)
 {
-    static const hg_kernel kernel = {
-        .name = "deformation_mean", .args_size = sizeof(mean_work), .cpu = mean_rows, .block = 4096
-    };
     const hg_physics_name *mean = find_name(r->asks->frames, r->asks->n_frames, "deformation_mean");
     const hg_pass_value *from = find_frame(r->values, "deformation");
     if (!mean || !from || find_frame(r->values, "deformation_mean")) return HG_OK;
@@ -295,10 +255,8 @@ static hg_status make_mean(hg_physics_resolver *r)
     if (group > 0 && B % group)
         return hg_fail(HG_INVALID, "physics: %lld frames are not sequences of %lld consecutive ones", (long long)B,
                        (long long)group);
-    void *to = hg_step_alloc(r->ctx, (size_t)(B * row) * hg_dtype_size(r->dtype) + 1);
+    void *to = hg_physics_mean(r->ctx, r->dtype, B, group, row, from->values);
     if (!to) return HG_MEMORY;
-    const mean_work work = { r->dtype, group, row, from->values, to };
-    if (B * row > 0) HG_TRY(hg_launch(r->ctx, &kernel, B / group * row, &work));
     return add_value(r, (hg_pass_value){ .kind = HG_INPUT_FRAME, .name = mean->name, .values = to }, NULL, B * row);
 }
 
@@ -316,35 +274,16 @@ static hg_status make_strand_length(hg_physics_resolver *r)
     }
     if (!rest) return HG_OK;
     const int64_t V = r->data->vertices, strands = r->data->grooms * r->data->strands;
-    const size_t bytes = (size_t)(strands * V) * hg_dtype_size(r->dtype);
-    void *to = hg_step_alloc(r->ctx, bytes + 1), *gradient = NULL;
-    if (rest->gradient && (gradient = hg_step_alloc(r->ctx, bytes + 1))) memset(gradient, 0, bytes);
+    void *to = hg_physics_lengths(r->ctx, r->dtype, strands, V, rest->values), *gradient = NULL;
+    if (rest->gradient) gradient = hg_physics_zeros(r->ctx, r->dtype, strands * V);
     if (!to || (rest->gradient && !gradient)) return HG_MEMORY;
-    for (int64_t s = 0; s < strands; s++) {
-        double length = 0;
-        for (int64_t at = s * V; at < (s + 1) * V - 1; at++) {
-            double square = 0;
-            for (int c = 0; c < 3; c++) {
-                const double e =
-                    real_at(r->dtype, rest->values, 3 * at + 3 + c) - real_at(r->dtype, rest->values, 3 * at + c);
-                square += e * e;
-            }
-            length += sqrt(square);
-        }
-        for (int64_t at = s * V; at < (s + 1) * V; at++) {
-            if (r->dtype == HG_F64)
-                ((double *)to)[at] = length;
-            else
-                ((float *)to)[at] = (float)length;
-        }
-    }
     return add_value(
         r, (hg_pass_value){ .kind = HG_INPUT_ATTRIBUTE, .name = name->name, .values = to, .gradient = gradient }, NULL,
         strands * V);
 }
 
 /* What came to "strand_length" goes on to the rest groom that it was made of. */
-void hg_physics_chain(const hg_physics_resolver *r)
+hg_status hg_physics_chain(const hg_physics_resolver *r)
 {
     const hg_pass_value *rest = NULL, *length = NULL;
     for (int i = 0; i < r->values->n; i++) {
@@ -353,29 +292,9 @@ void hg_physics_chain(const hg_physics_resolver *r)
         if (value->kind == HG_INPUT_ATTRIBUTE && !r->values->tensor[i] && strcmp(value->name, "strand_length") == 0)
             length = value;
     }
-    if (!rest || !rest->gradient || !length || !length->gradient) return;
-    const int64_t V = r->data->vertices, strands = r->data->grooms * r->data->strands;
-    for (int64_t s = 0; s < strands; s++) {
-        double arrived = 0;
-        for (int64_t at = s * V; at < (s + 1) * V; at++) arrived += real_at(r->dtype, length->gradient, at);
-        for (int64_t at = s * V; at < (s + 1) * V - 1; at++) {
-            double e[3], square = 0;
-            for (int c = 0; c < 3; c++) {
-                e[c] = real_at(r->dtype, rest->values, 3 * at + 3 + c) - real_at(r->dtype, rest->values, 3 * at + c);
-                square += e[c] * e[c];
-            }
-            const double scale = square > 0 ? arrived / sqrt(square) : 0; /* of an edge without length: none */
-            for (int c = 0; c < 3; c++) {
-                if (r->dtype == HG_F64) {
-                    ((double *)rest->gradient)[3 * at + 3 + c] += scale * e[c];
-                    ((double *)rest->gradient)[3 * at + c] -= scale * e[c];
-                } else {
-                    ((float *)rest->gradient)[3 * at + 3 + c] += (float)(scale * e[c]);
-                    ((float *)rest->gradient)[3 * at + c] -= (float)(scale * e[c]);
-                }
-            }
-        }
-    }
+    if (!rest || !rest->gradient || !length || !length->gradient) return HG_OK;
+    return hg_physics_lengths_gradient(r->ctx, r->dtype, r->data->grooms * r->data->strands, r->data->vertices,
+                                       rest->values, length->gradient, rest->gradient);
 }
 
 /* ---- all of a frame ----------------------------------------------------------------------------------------- */
@@ -415,26 +334,17 @@ hg_status hg_physics_resolve(hg_physics_resolver *r)
 void *hg_physics_gradient(hg_ctx *ctx, const hg_physics_values *values, const hg_tensor *tensor)
 {
     const int64_t n = hg_tensor_count(tensor);
-    const bool f64 = tensor->dtype == HG_F64;
+    const void *parts[HG_PHYSICS_VALUES];
+    int64_t count[HG_PHYSICS_VALUES];
     int made = 0, only = -1;
     for (int i = 0; i < values->n; i++)
         if (values->tensor[i] == tensor) {
-            made++;
+            parts[made] = values->value[i].gradient;
+            count[made++] = values->count[i];
             only = i;
         }
     if (made == 1 && values->count[only] == n) return values->value[only].gradient;
-    char *to = hg_step_alloc(ctx, (size_t)n * hg_dtype_size(tensor->dtype) + 1);
-    for (int64_t k = 0; to && k < n; k++) {
-        double sum = 0;
-        for (int i = 0; i < values->n; i++)
-            for (int64_t at = k; values->tensor[i] == tensor && at < values->count[i]; at += n)
-                sum += real_at(tensor->dtype, values->value[i].gradient, at);
-        if (f64)
-            ((double *)to)[k] = sum;
-        else
-            ((float *)to)[k] = (float)sum;
-    }
-    return to;
+    return hg_physics_add_parts(ctx, tensor->dtype, n, made, parts, count);
 }
 
 /* What of it changes the strand program. Values that are the same for all strands and need no gradient do not. */

@@ -44,7 +44,8 @@ typedef struct {
 } hg_physics_resolver;
 
 hg_status hg_physics_resolve(hg_physics_resolver *resolver);
-void hg_physics_chain(const hg_physics_resolver *resolver); /* after the passes: gradients of what was made of values */
+hg_status
+hg_physics_chain(const hg_physics_resolver *resolver); /* after the passes: gradients of what was made of values */
 /* In the step arena; NULL without memory. */
 void *hg_physics_gradient(hg_ctx *ctx, const hg_physics_values *values, const hg_tensor *tensor);
 void hg_physics_variant(const hg_physics_resolver *resolver, const int32_t *column, int n_window,

@@ -1,13 +1,25 @@
 /* The strand pass of a physics: keeps what is computed once per groom, chooses the kernel (printed when the library was
- * built, or the interpreter), and runs it over tiles of strands. */
+ * built, or the interpreter; on a GPU printed CUDA), and runs it over tiles of strands. */
 #include "autograd/trace/compile.h"
 #include "hairloss/physics.h"
+#include "hairloss/physics_hoist.h"
+#include "hairloss/physics_kernels.h"
 
 #include <omp.h>
 #include <stdio.h>
 #include <string.h>
 
+/* What a GPU needs of its own. */
+typedef struct {
+    hg_text text; /* of both kernels */
+    hg_kernel strands, values;
+    hg_tensor *site, *groom_strand, *column; /* once per groom */
+    hg_tensor *uniform, *inputs;             /* what is the same for all strands, and what it is made of */
+    bool uniform_there, inputs_there;        /* are the values of the host there? */
+} strand_device;
+
 struct hg_strand_pass {
+    hg_ctx *ctx;
     hg_dtype dtype;
     const hg_groom_data *data;
     int n; /* terms */
@@ -17,14 +29,15 @@ struct hg_strand_pass {
     const hg_strand_kernel_entry *compiled; /* NULL: interpreted */
     char backend[80], note[256];
     int lanes;
-    int64_t tiles;             /* per frame */
-    void *site, *groom_strand; /* made once per groom, in the tile layout of the kernel */
-    double *rest_carry;        /* [G,S,V,n_rest_carry] while they are made */
+    int64_t tiles;       /* per frame */
+    hg_hoisted hoisted;  /* made once per groom, in the layout of the kernel */
+    hg_tensor *still[2]; /* [G,S,4], [G,S,3]: root frames where a call brings none; made when first needed */
     void *uniform;
     double *uniform_values, *uniform_inputs;
     void *scratch;
     size_t scratch_size; /* of one thread */
     int threads;
+    strand_device device;
 };
 
 uint64_t hg_strand_pass_hash(const hg_strand_pass *pass) { return pass->program->hash; }
@@ -32,164 +45,6 @@ uint64_t hg_strand_pass_hash(const hg_strand_pass *pass) { return pass->program-
 const char *hg_strand_pass_backend_name(const hg_strand_pass *pass) { return pass->backend; }
 
 const char *hg_strand_pass_backend_note(const hg_strand_pass *pass) { return pass->note; }
-
-/* ---- once per groom ----------------------------------------------------------------------------------------- */
-
-static double groom_value(const hg_strand_pass *p, hg_input in, int64_t groom, int64_t strand, int64_t vertex)
-{
-    const hg_groom_data *data = p->data;
-    const int64_t V = data->vertices;
-    int64_t v = in.kind == HG_INPUT_ROOT_REST ? in.offset : vertex + in.offset;
-    if (v < 0) v = 0; /* windows that begin before the root are stored but never used */
-    if (v > V - 1) v = V - 1;
-    const int64_t at = (groom * data->strands + strand) * V + v;
-    switch (in.kind) {
-    case HG_INPUT_REST:
-    case HG_INPUT_ROOT_REST:
-        return data->rest[3 * at + in.component];
-    case HG_INPUT_REST_CARRY:
-        return p->rest_carry[at * p->program->n_rest_carry + p->program->rest_carries[in.name].at + in.component];
-    case HG_INPUT_MASS:
-        return data->mass[at];
-    default:
-        return hg_groom_attribute_find(data, p->program->attributes[in.name])[at];
-    }
-}
-
-typedef struct {
-    const hg_strand_pass *pass;
-    const hg_function *function;
-    int n_out;
-    int64_t vertices; /* V for sites, 1 for strands */
-    void *to;         /* [G,tiles,vertices,n_out,lanes] */
-} groom_work;
-
-enum { GROOM_CHUNK = HG_LANES_F64, GROOM_VALUES = 64 };
-
-/* Computed in f64 whatever the physics, and rounded once. */
-static void groom_rows(const void *args, int64_t first, int64_t last)
-{
-    const groom_work *work = args;
-    const hg_strand_pass *p = work->pass;
-    int n_in;
-    const hg_input *inputs = hg_function_inputs(work->function, &n_in);
-    double in[GROOM_VALUES][GROOM_CHUNK], out[GROOM_VALUES][GROOM_CHUNK];
-    const void *ins[GROOM_VALUES];
-    void *outs[GROOM_VALUES];
-    for (int i = 0; i < n_in; i++) ins[i] = in[i];
-    for (int j = 0; j < work->n_out; j++) outs[j] = out[j];
-    for (int64_t row = first; row < last; row++) {
-        const int64_t vertex = row % work->vertices, tile = row / work->vertices % p->tiles;
-        const int64_t groom = row / work->vertices / p->tiles;
-        for (int64_t lane = 0; lane < p->lanes; lane += GROOM_CHUNK) {
-            const int64_t count = p->lanes - lane < GROOM_CHUNK ? p->lanes - lane : GROOM_CHUNK;
-            for (int i = 0; i < n_in; i++)
-                for (int64_t l = 0; l < count; l++) {
-                    int64_t strand = tile * p->lanes + lane + l;
-                    if (strand >= p->data->strands) strand = p->data->strands - 1;
-                    in[i][l] = groom_value(p, inputs[i], groom, strand, vertex);
-                }
-            hg_function_run(work->function, HG_F64, count, ins, NULL, outs);
-            for (int j = 0; j < work->n_out; j++) {
-                const int64_t at = (row * work->n_out + j) * p->lanes + lane;
-                for (int64_t l = 0; l < count; l++) {
-                    if (p->dtype == HG_F64)
-                        ((double *)work->to)[at + l] = out[j][l];
-                    else
-                        ((float *)work->to)[at + l] = (float)out[j][l];
-                }
-            }
-        }
-    }
-}
-
-static hg_status make_groom(hg_strand_pass *p, hg_ctx *ctx, const hg_function *function, int n_out, int64_t vertices,
-                            void **to)
-{
-    static const hg_kernel kernel = {
-        .name = "groom_hoist", .args_size = sizeof(groom_work), .cpu = groom_rows, .block = 16
-    };
-    hg_free(*to);
-    *to = NULL;
-    if (!function) return HG_OK;
-    int n_in;
-    hg_function_inputs(function, &n_in);
-    if (n_in > GROOM_VALUES || n_out > GROOM_VALUES)
-        return hg_fail(HG_UNSUPPORTED,
-                       "the energies ask for %d rest values and keep %d per site: at most %d are possible", n_in, n_out,
-                       GROOM_VALUES);
-    const int64_t rows = p->data->grooms * p->tiles * vertices;
-    *to = hg_alloc((size_t)(rows * n_out * p->lanes) + 1, hg_dtype_size(p->dtype));
-    if (!*to) return HG_MEMORY;
-    const groom_work work = { p, function, n_out, vertices, *to };
-    return hg_launch(ctx, &kernel, rows, &work);
-}
-
-/* Runs a function of a vertex for some strands of a groom; out[j] gets its outputs. */
-static void at_vertex(const hg_strand_pass *p, const hg_function *function, int64_t groom, int64_t strand,
-                      int64_t count, int64_t vertex, double out[][GROOM_CHUNK], int n_out)
-{
-    int n_in;
-    const hg_input *inputs = hg_function_inputs(function, &n_in);
-    double in[GROOM_VALUES][GROOM_CHUNK];
-    const void *ins[GROOM_VALUES];
-    void *outs[GROOM_VALUES];
-    for (int i = 0; i < n_in; i++) {
-        ins[i] = in[i];
-        for (int64_t l = 0; l < count; l++) in[i][l] = groom_value(p, inputs[i], groom, strand + l, vertex);
-    }
-    for (int j = 0; j < n_out; j++) outs[j] = out[j];
-    hg_function_run(function, HG_F64, count, ins, NULL, outs);
-}
-
-/* Carried rest data of some strands, from root to tip. */
-static void rest_carry_rows(const void *args, int64_t first, int64_t last)
-{
-    const hg_strand_pass *p = *(hg_strand_pass *const *)args;
-    const hg_strand_program *program = p->program;
-    const int64_t S = p->data->strands, V = p->data->vertices, chunks = (S + GROOM_CHUNK - 1) / GROOM_CHUNK;
-    const int n = program->n_rest_carry;
-    double out[4 * HG_GRAPH_CARRIES][GROOM_CHUNK];
-    for (int64_t row = first; row < last; row++) {
-        const int64_t groom = row / chunks, strand = row % chunks * GROOM_CHUNK;
-        const int64_t count = S - strand < GROOM_CHUNK ? S - strand : GROOM_CHUNK;
-        for (int64_t v = 0; v < V; v++)
-            for (int kept = 0; kept < 2; kept++) {
-                if (kept && v + 1 == V) break;
-                /* one carried value's beginning may be made of another's */
-                for (int round = 0; round < (kept ? 1 : program->n_rest_carries); round++) {
-                    at_vertex(p, kept ? program->rest_kept : program->rest_first, groom, strand, count, v, out, n);
-                    for (int i = 0; i < program->n_rest_carries; i++) {
-                        if (kept ? v < program->rest_carries[i].start : v != program->rest_carries[i].start) continue;
-                        for (int c = 0; c < program->rest_carries[i].width; c++) {
-                            const int j = program->rest_carries[i].at + c;
-                            for (int64_t l = 0; l < count; l++)
-                                p->rest_carry[((groom * S + strand + l) * V + v + kept) * n + j] = out[j][l];
-                        }
-                    }
-                }
-            }
-    }
-}
-
-static hg_status make_rest_carry(hg_strand_pass *p, hg_ctx *ctx)
-{
-    static const hg_kernel kernel = {
-        .name = "groom_carry", .args_size = sizeof(hg_strand_pass *), .cpu = rest_carry_rows, .block = 1
-    };
-    const hg_strand_program *program = p->program;
-    const int64_t S = p->data->strands, G = p->data->grooms;
-    if (!program->n_rest_carry) return HG_OK;
-    int first, kept;
-    hg_function_inputs(program->rest_first, &first);
-    hg_function_inputs(program->rest_kept, &kept);
-    if (first > GROOM_VALUES || kept > GROOM_VALUES)
-        return hg_fail(HG_UNSUPPORTED, "carried rest data is made of %d values: at most %d are possible",
-                       first > kept ? first : kept, GROOM_VALUES);
-    p->rest_carry = hg_alloc((size_t)(G * S * p->data->vertices * program->n_rest_carry) + 1, sizeof(double));
-    if (!p->rest_carry) return HG_MEMORY;
-    return hg_launch(ctx, &kernel, G * ((S + GROOM_CHUNK - 1) / GROOM_CHUNK), &p);
-}
 
 /* ---- the kernel --------------------------------------------------------------------------------------------- */
 
@@ -233,26 +88,122 @@ static hg_status make_scratch(hg_strand_pass *p, hg_ctx *ctx)
 
 static hg_status prepare(hg_strand_pass *p, hg_ctx *ctx, const hg_strand_kernel_entry *compiled)
 {
-    const hg_strand_program *program = p->program;
     p->compiled = compiled;
     p->lanes = compiled ? compiled->lanes : hg_strand_lanes(p->dtype);
     p->tiles = (p->data->strands + p->lanes - 1) / p->lanes;
-    hg_status status = make_rest_carry(p, ctx);
-    if (status == HG_OK) status = make_groom(p, ctx, program->site, program->n_site, p->data->vertices, &p->site);
-    if (status == HG_OK)
-        status = make_groom(p, ctx, program->groom_strand, program->n_groom_strand, 1, &p->groom_strand);
-    hg_free(p->rest_carry);
-    p->rest_carry = NULL;
-    HG_TRY(status);
+    hg_free(p->hoisted.site);
+    hg_free(p->hoisted.groom_strand);
+    HG_TRY(hg_hoist(&p->hoisted, ctx, p->program, p->data, HG_HOIST_TILES, p->lanes));
     p->threads = 0;
     return make_scratch(p, ctx);
 }
+
+/* ---- the kernel of a GPU ------------------------------------------------------------------------------------ */
+
+enum {
+    SHARED = 48 << 10,    /* of a block: more would leave too few blocks */
+    CARRY_BLOCK = 64,     /* threads, of a strand each: few for the many registers of a whole walk */
+    CARRY_MOST = 1 << 16, /* at a time: the others come after them, in the same scratch */
+    GIVEN_NUMBERS = 96
+};
+
+/* Values that are the same for all strands where the call brings some of what they are made of in the device's memory. */
+typedef struct {
+    const void *given[GIVEN_NUMBERS]; /* one number in the dtype of the physics; NULL: numbers[i] */
+    const double *numbers;
+    void *to;
+} values_args;
+
+static void print_values(const hg_strand_program *program, hg_text *text)
+{
+    int n_in;
+    hg_function_inputs(program->uniform, &n_in);
+    hg_function_print_cuda(program->uniform, "make_values", text);
+    hg_text_add(text,
+                "typedef struct { const void *given[%d]; const double *numbers; void *to; } values_args;\n"
+                "HG_BODY void strand_values(const values_args *p, int64_t, int64_t)\n{\n"
+                "    double in[%d], out[%d];\n"
+                "    for (int i = 0; i < %d; i++) in[i] = p->given[i] ? (double)*(const hg_real *)p->given[i] : "
+                "p->numbers[i];\n"
+                "    make_values(in, out);\n"
+                "    for (int i = 0; i < %d; i++) ((hg_real *)p->to)[i] = (hg_real)out[i];\n}\n"
+                "HG_KERNEL(strand_values, values_args, 1)\n",
+                GIVEN_NUMBERS, n_in + 1, program->n_uniform, n_in, program->n_uniform);
+}
+
+/* The host's numbers as a tensor of the device. */
+static hg_status put(hg_ctx *ctx, hg_tensor **to, hg_dtype dtype, int64_t n, const void *from)
+{
+    *to = hg_tensor_create(ctx, dtype, 1, &n);
+    return !*to ? HG_MEMORY : n ? hg_tensor_write(*to, from) : HG_OK;
+}
+
+static hg_status prepare_device(hg_strand_pass *p)
+{
+    const hg_strand_program *program = p->program;
+    strand_device *d = &p->device;
+    hg_hoisted made;
+    HG_TRY(hg_hoist(&made, p->ctx, program, p->data, program->n_carry ? HG_HOIST_LANES : HG_HOIST_ROWS, 1));
+    hg_status status = HG_OK;
+    if (made.site) status = put(p->ctx, &d->site, p->dtype, (int64_t)made.site_count, made.site);
+    if (status == HG_OK && made.groom_strand)
+        status = put(p->ctx, &d->groom_strand, p->dtype, (int64_t)made.groom_strand_count, made.groom_strand);
+    hg_free(made.site);
+    hg_free(made.groom_strand);
+    if (status == HG_OK) status = put(p->ctx, &d->column, HG_I32, p->n, p->column);
+    HG_TRY(status);
+    hg_strand_print_cuda(program, "strand_energies", &d->text);
+    if (program->uniform) {
+        int n_in;
+        hg_function_inputs(program->uniform, &n_in);
+        if (n_in > GIVEN_NUMBERS)
+            return hg_fail(HG_UNSUPPORTED, "the energies are made of %d numbers; %d are possible on a GPU", n_in,
+                           GIVEN_NUMBERS);
+        print_values(program, &d->text);
+        d->uniform = hg_tensor_create(p->ctx, p->dtype, 1, &(int64_t){ program->n_uniform });
+        d->inputs = hg_tensor_create(p->ctx, HG_F64, 1, &(int64_t){ n_in });
+        if (!d->uniform || !d->inputs) return HG_MEMORY;
+    }
+    if (d->text.failed) return HG_MEMORY;
+    const size_t shared = hg_strand_cuda_shared(program, p->data->vertices);
+    int warps = HG_STRAND_CUDA_THREADS / 32;
+    while (warps > 1 && (size_t)warps * shared > SHARED) warps /= 2;
+    d->strands = (hg_kernel){ .name = "strand_energies",
+                              .cuda = d->text.data,
+                              .args_size = sizeof(hg_strand_args),
+                              .threads = program->n_carry ? CARRY_BLOCK : 32 * warps,
+                              .indices = program->n_carry ? 0 : warps,
+                              .shared = (size_t)warps * shared };
+    d->values = (hg_kernel){ .name = "strand_values", .cuda = d->text.data, .args_size = sizeof(values_args) };
+    snprintf(p->backend, sizeof p->backend, "%s", hg_ctx_device(p->ctx));
+    return HG_OK;
+}
+
+static void free_device(hg_strand_pass *p)
+{
+    strand_device *d = &p->device;
+    if (d->strands.name) {
+        hg_kernel_release(p->ctx, &d->strands);
+        hg_kernel_release(p->ctx, &d->values);
+    }
+    hg_text_free(&d->text);
+    hg_tensor *const tensors[] = { d->site, d->groom_strand, d->column, d->uniform, d->inputs };
+    for (size_t i = 0; i < sizeof tensors / sizeof *tensors; i++) hg_tensor_destroy(tensors[i]);
+}
+
+/* ---- which kernel ------------------------------------------------------------------------------------------- */
 
 /* A groom of fewer vertices is interpreted where no kernel was printed for it: a second of the compiler is never won back. */
 enum { WORTH_COMPILING = 10000 };
 
 hg_status hg_strand_pass_backend(hg_strand_pass *pass, hg_ctx *ctx, hg_backend backend, const char *level)
 {
+    if (!hg_ctx_host(ctx)) { /* there is one way, and it is compiled */
+        if (backend == HG_BACKEND_INTERPRETER || level)
+            return hg_fail(HG_UNSUPPORTED, "the %s is of the processor; this context is on %s",
+                           level ? level : "interpreter", hg_ctx_device(ctx));
+        return pass->device.column ? HG_OK : prepare_device(pass);
+    }
     const hg_strand_kernel_entry *compiled =
         backend == HG_BACKEND_INTERPRETER ? NULL : find_compiled(pass->program, level);
     const bool worth = pass->data->grooms * pass->data->strands * pass->data->vertices >= WORTH_COMPILING;
@@ -305,6 +256,7 @@ hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtyp
         hg_free(traced);
         return status;
     }
+    p->ctx = ctx;
     p->dtype = dtype;
     p->data = data;
     p->n = n;
@@ -349,11 +301,13 @@ hg_status hg_strand_pass_create(hg_strand_pass **out, hg_ctx *ctx, hg_dtype dtyp
 void hg_strand_pass_destroy(hg_strand_pass *pass)
 {
     if (!pass) return;
+    free_device(pass);
+    for (int j = 0; j < 2; j++) hg_tensor_destroy(pass->still[j]);
     hg_strand_program_destroy(pass->program);
     hg_free(pass->terms);
     hg_free(pass->column);
-    hg_free(pass->site);
-    hg_free(pass->groom_strand);
+    hg_free(pass->hoisted.site);
+    hg_free(pass->hoisted.groom_strand);
     hg_free(pass->uniform);
     hg_free(pass->uniform_values);
     hg_free(pass->uniform_inputs);
@@ -394,24 +348,40 @@ static const hg_pass_value *find_value(const hg_strand_pass *p, int n, const hg_
     return NULL;
 }
 
-static double number_at(hg_dtype dtype, const void *values, int64_t i)
-{
-    return dtype == HG_F64 ? ((const double *)values)[i] : (double)((const float *)values)[i];
-}
-
-static void make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_values, const hg_pass_value *values)
+/* The values that are the same for all strands, from the numbers of this call. On a GPU they stay as they are until a number
+ * changes; one that is there already is read there. */
+static hg_status make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_values, const hg_pass_value *values)
 {
     const hg_strand_program *program = p->program;
-    if (!program->uniform) return;
+    strand_device *d = &p->device;
+    if (!program->uniform) return HG_OK;
+    const bool host = hg_ctx_host(p->ctx);
     int n_in;
     const hg_input *inputs = hg_function_inputs(program->uniform, &n_in);
+    values_args args = { .numbers = host ? NULL : d->inputs->data, .to = host ? NULL : d->uniform->data };
+    bool given = false, same = true;
     for (int i = 0; i < n_in; i++) {
         const hg_pass_value *value = find_value(p, n_values, values, inputs[i].kind, inputs[i].name, inputs[i].term);
-        p->uniform_inputs[i] = inputs[i].kind == HG_INPUT_WEIGHT  ? p->terms[inputs[i].term].weight
-                               : value                            ? number_at(p->dtype, value->values, 0)
-                               : inputs[i].kind == HG_INPUT_PARAM ? p->terms[inputs[i].term].params[inputs[i].name]
-                                                                  : frame->dt;
+        if (value && !host) {
+            args.given[i] = value->values;
+            given = true;
+            continue;
+        }
+        const double now = inputs[i].kind == HG_INPUT_WEIGHT  ? p->terms[inputs[i].term].weight
+                           : value && p->dtype == HG_F64      ? *(const double *)value->values
+                           : value                            ? (double)*(const float *)value->values
+                           : inputs[i].kind == HG_INPUT_PARAM ? p->terms[inputs[i].term].params[inputs[i].name]
+                                                              : frame->dt;
+        same &= now == p->uniform_inputs[i];
+        p->uniform_inputs[i] = now;
     }
+    if (given) {
+        if (!same || !d->inputs_there) HG_TRY(hg_tensor_write(d->inputs, p->uniform_inputs));
+        d->inputs_there = true;
+        d->uniform_there = false;
+        return hg_launch(p->ctx, &d->values, 1, &args);
+    }
+    if (!host && same && d->uniform_there) return HG_OK;
     void *out[256];
     for (int j = 0; j < program->n_uniform; j++) out[j] = &p->uniform_values[j];
     hg_function_run(program->uniform, HG_F64, 1, NULL, p->uniform_inputs, out);
@@ -421,6 +391,10 @@ static void make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_values,
         else
             ((float *)p->uniform)[j] = (float)p->uniform_values[j];
     }
+    if (host) return HG_OK;
+    d->uniform_there = true;
+    d->inputs_there = false;
+    return hg_tensor_write(d->uniform, p->uniform);
 }
 
 static hg_status missing(const hg_strand_pass *p, hg_input_kind kind, const char *what)
@@ -439,86 +413,35 @@ static bool uses(const hg_strand_pass *p, hg_input_kind kind)
     return false;
 }
 
-/* Root frames where the frame brings none: identity at the rest root. */
-static void *still_roots(const hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, int64_t frames, int width)
+/* Root frames where the frame brings none: identity at the rest root. j: 0 rotation, 1 position. */
+static const void *still_roots(hg_strand_pass *p, const int32_t *groom, int64_t frames, int j)
 {
-    const int64_t S = p->data->strands, V = p->data->vertices;
-    void *to = hg_step_alloc(ctx, (size_t)(frames * S * width) * hg_dtype_size(p->dtype) + 1);
-    for (int64_t i = 0; to && i < frames * S; i++)
-        for (int c = 0; c < width; c++) {
-            const int64_t groom = frame->groom ? frame->groom[i / S] : 0;
-            const double value = width == 4 ? (c == 0 ? 1 : 0) : p->data->rest[(groom * S + i % S) * V * 3 + c];
+    const int64_t S = p->data->strands, V = p->data->vertices, rows = p->data->grooms * S, width = j ? 3 : 4;
+    if (!p->still[j]) {
+        hg_tensor *made = hg_tensor_create(p->ctx, p->dtype, 1, &(int64_t){ rows * width });
+        void *values = hg_alloc((size_t)(rows * width) + 1, hg_dtype_size(p->dtype));
+        for (int64_t i = 0; values && i < rows * width; i++) {
+            const double value = j ? p->data->rest[i / 3 * V * 3 + i % 3] : i % 4 == 0 ? 1 : 0;
             if (p->dtype == HG_F64)
-                ((double *)to)[i * width + c] = value;
+                ((double *)values)[i] = value;
             else
-                ((float *)to)[i * width + c] = (float)value;
+                ((float *)values)[i] = (float)value;
         }
-    return to;
-}
-
-/* A sum of per-strand or per-frame gradients that the kernel leaves, in the shape in which it is wanted. */
-typedef struct {
-    hg_dtype dtype;
-    const int32_t *groom; /* [B]; of rest data: a row per frame goes to the row of its groom */
-    int64_t frames, row;  /* row: values of one frame */
-    const void *from;
-    void *to; /* [G,row] */
-} reduce_work;
-
-static void reduce_rows(const void *args, int64_t first, int64_t last)
-{
-    const reduce_work *work = args;
-    for (int64_t b = 0; b < work->frames; b++) {
-        const int64_t groom = work->groom ? work->groom[b] : 0;
-        for (int64_t i = first; i < last; i++) {
-            if (work->dtype == HG_F64)
-                ((double *)work->to)[groom * work->row + i] += ((const double *)work->from)[b * work->row + i];
-            else
-                ((float *)work->to)[groom * work->row + i] += ((const float *)work->from)[b * work->row + i];
+        if (!made || !values || hg_tensor_write(made, values) != HG_OK) {
+            hg_tensor_destroy(made);
+            made = NULL;
         }
+        hg_free(values);
+        p->still[j] = made;
     }
-}
-
-static hg_status reduce(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, int64_t frames, int64_t row,
-                        bool uniform, const void *from, void *to)
-{
-    static const hg_kernel kernel = {
-        .name = "groom_gradient", .args_size = sizeof(reduce_work), .cpu = reduce_rows, .block = 4096
-    };
-    if (uniform) { /* one value of all strands: summed in f64 */
-        double sum = 0;
-        for (int64_t i = 0; i < frames * row; i++) sum += number_at(p->dtype, from, i);
-        if (p->dtype == HG_F64)
-            *(double *)to = sum;
-        else
-            *(float *)to = (float)sum;
-        return HG_OK;
-    }
-    memset(to, 0, (size_t)(p->data->grooms * row) * hg_dtype_size(p->dtype));
-    const reduce_work work = { p->dtype, frame->groom, frames, row, from, to };
-    return hg_launch(ctx, &kernel, row, &work);
-}
-
-/* [B,S] of one value. */
-static void *spread(const hg_strand_pass *p, hg_ctx *ctx, int64_t n, const void *value)
-{
-    void *to = hg_step_alloc(ctx, (size_t)n * hg_dtype_size(p->dtype) + 1);
-    for (int64_t i = 0; to && i < n; i++) {
-        if (p->dtype == HG_F64)
-            ((double *)to)[i] = *(const double *)value;
-        else
-            ((float *)to)[i] = *(const float *)value;
-    }
-    return to;
+    return p->still[j] ? hg_physics_of_groom(p->ctx, p->dtype, groom, frames, S, width, p->still[j]->data) : NULL;
 }
 
 /* Where the kernel finds an array of the program, or NULL. */
-static const void *array_data(const hg_strand_pass *p, const hg_frame *frame, const hg_tensor *x,
-                              const void *contact_point, const void *contact_normal, const hg_strand_input *array,
-                              const hg_pass_value *value)
+static const void *array_data(const hg_frame *frame, const hg_tensor *x, const void *contact_point,
+                              const void *contact_normal, const hg_strand_input *array, const hg_pass_value *value)
 {
     const hg_tensor *brought = NULL;
-    (void)p;
     switch (array->kind) {
     case HG_INPUT_X:
         brought = x;
@@ -555,78 +478,113 @@ static hg_status array_missing(const hg_strand_pass *p, const hg_strand_input *a
                        : hg_input_name(array->kind));
 }
 
-hg_status hg_strand_pass_run(hg_strand_pass *p, hg_ctx *ctx, const hg_frame *frame, const hg_tensor *x,
-                             const void *contact_point, const void *contact_normal, int n_values,
-                             const hg_pass_value *values, void *gradient, double *unweighted, double *per_strand,
-                             int64_t stride)
+/* Where the kernel reads and writes what the call brings and wants. */
+static hg_status fill_args(hg_strand_pass *p, const hg_pass_call *call, const void *contact_point,
+                           const void *contact_normal, hg_strand_args *args)
 {
     const hg_strand_program *program = p->program;
-    const int64_t frames = x->shape[0], n = frames * p->tiles, S = p->data->strands, V = p->data->vertices;
+    hg_ctx *ctx = p->ctx;
+    const hg_frame *frame = call->frame;
+    const int64_t frames = call->x->shape[0], S = p->data->strands, V = p->data->vertices;
     const size_t size = hg_dtype_size(p->dtype);
-    for (int t = 0; t < p->n; t++) unweighted[p->column[t]] = 0;
-    if (n == 0) return HG_OK;
-    HG_TRY(make_scratch(p, ctx));
-    make_uniform(p, frame, n_values, values);
+    for (int k = 0; k < program->n_arrays; k++) {
+        const hg_strand_input *array = &program->arrays[k];
+        const hg_pass_value *value = find_value(p, call->n_values, call->values, array->kind, array->name, 0);
+        args->array[k] = array_data(frame, call->x, contact_point, contact_normal, array, value);
+        if (!args->array[k]) return array_missing(p, array);
+        args->array_gradient[k] = k == 0 ? call->gradient : value ? value->gradient : NULL;
+        if (array->rest && args->array_gradient[k] && /* per frame first */
+            !(args->array_gradient[k] = hg_step_device(ctx, (size_t)(frames * S * V * array->width) * size)))
+            return HG_MEMORY;
+    }
+    if (uses(p, HG_INPUT_DT) && !(frame->dt > 0) && !find_value(p, call->n_values, call->values, HG_INPUT_DT, 0, 0))
+        return missing(p, HG_INPUT_DT, "dt (a positive time step)");
+    for (int j = 0; j < program->n_inputs; j++) {
+        const hg_strand_input *input = &program->inputs[j];
+        const hg_pass_value *value = find_value(p, call->n_values, call->values, input->kind, input->name, input->term);
+        const hg_tensor *brought = j == 0 ? frame->root_rotation : j == 1 ? frame->root_position : NULL;
+        args->strand_input[j] = brought          ? brought->data
+                                : j < 2          ? still_roots(p, call->groom, frames, j)
+                                : value->uniform ? hg_physics_repeat(ctx, p->dtype, 1, frames * S, value->values)
+                                                 : value->values;
+        args->strand_input_gradient[j] = value ? value->gradient : NULL;
+        if (value && value->uniform && value->gradient &&
+            !(args->strand_input_gradient[j] = hg_step_device(ctx, (size_t)(frames * S) * size)))
+            return HG_MEMORY;
+        if (!args->strand_input[j]) return HG_MEMORY;
+    }
+    return HG_OK;
+}
 
+/* One launch for all strands; rows: of args.energy. */
+static hg_status launch(hg_strand_pass *p, strand_work *work, int64_t frames, int64_t *rows)
+{
+    static const hg_kernel
+        lanes64 = { .name = "strand_energies", .args_size = sizeof *work, .cpu = strand_tiles, .block = 1 },
+        few = { .name = "strand_energies", .args_size = sizeof *work, .cpu = strand_tiles, .block = 8 };
+    hg_strand_args *args = &work->args;
+    const strand_device *d = &p->device;
+    const bool host = hg_ctx_host(p->ctx), carries = p->program->n_carry > 0;
+    const int64_t strands = frames * p->data->strands;
+    int64_t n = host ? frames * p->tiles : strands;
+    *rows = host || carries ? n : (n + d->strands.indices - 1) / d->strands.indices;
+    args->energy = hg_step_device(p->ctx, (size_t)(*rows * p->n) * sizeof(double) + 1);
+    if (!args->energy) return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)strands);
+    if (host) return hg_launch(p->ctx, p->lanes >= 64 ? &lanes64 : &few, n, work);
+    args->tiles = p->data->strands;
+    args->count = n;
+    args->site = d->site ? d->site->data : NULL;
+    args->groom_strand = d->groom_strand ? d->groom_strand->data : NULL;
+    args->uniform = d->uniform ? d->uniform->data : NULL;
+    args->column = d->column->data;
+    if (carries) {
+        n = ((n < CARRY_MOST ? n : CARRY_MOST) + CARRY_BLOCK - 1) / CARRY_BLOCK * CARRY_BLOCK;
+        args->scratch = hg_step_device(p->ctx, (size_t)n * hg_strand_cuda_scratch(p->program, p->data->vertices));
+        if (!args->scratch) return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)n);
+    }
+    return hg_launch(p->ctx, &d->strands, n, args);
+}
+
+hg_status hg_strand_pass_run(hg_strand_pass *p, const hg_pass_call *call, const void *contact_point,
+                             const void *contact_normal)
+{
+    const hg_strand_program *program = p->program;
+    hg_ctx *ctx = p->ctx;
+    const int64_t frames = call->x->shape[0], S = p->data->strands, V = p->data->vertices;
+    const int32_t *column = hg_ctx_host(ctx) ? p->column : p->device.column->data;
+    if (frames * S == 0) return hg_physics_sums(ctx, HG_F64, NULL, 0, p->n, HG_F64, call->unweighted, column);
+    if (hg_ctx_host(ctx)) HG_TRY(make_scratch(p, ctx));
+    HG_TRY(make_uniform(p, call->frame, call->n_values, call->values));
     strand_work work = { .pass = p,
                          .args = { .strands = S,
                                    .vertices = V,
                                    .tiles = p->tiles,
-                                   .groom = frame->groom,
-                                   .site = p->site,
-                                   .groom_strand = p->groom_strand,
+                                   .groom = call->groom,
+                                   .site = p->hoisted.site,
+                                   .groom_strand = p->hoisted.groom_strand,
                                    .uniform = p->uniform,
-                                   .per_strand = per_strand,
-                                   .stride = stride,
+                                   .per_strand = call->per_strand,
+                                   .stride = call->stride,
                                    .column = p->column } };
-    hg_strand_args *args = &work.args;
-    for (int k = 0; k < program->n_arrays; k++) {
-        const hg_strand_input *array = &program->arrays[k];
-        const hg_pass_value *value = find_value(p, n_values, values, array->kind, array->name, 0);
-        args->array[k] = array_data(p, frame, x, contact_point, contact_normal, array, value);
-        if (!args->array[k]) return array_missing(p, array);
-        args->array_gradient[k] = k == 0 ? gradient : value ? value->gradient : NULL;
-        if (array->rest && args->array_gradient[k] && /* per frame first */
-            !(args->array_gradient[k] = hg_step_alloc(ctx, (size_t)(frames * S * V * array->width) * size)))
-            return HG_MEMORY;
-    }
-    if (uses(p, HG_INPUT_DT) && !(frame->dt > 0) && !find_value(p, n_values, values, HG_INPUT_DT, 0, 0))
-        return missing(p, HG_INPUT_DT, "dt (a positive time step)");
-    for (int j = 0; j < program->n_inputs; j++) {
-        const hg_strand_input *input = &program->inputs[j];
-        const hg_pass_value *value = find_value(p, n_values, values, input->kind, input->name, input->term);
-        const hg_tensor *brought = j == 0 ? frame->root_rotation : j == 1 ? frame->root_position : NULL;
-        args->strand_input[j] = brought          ? brought->data
-                                : j < 2          ? still_roots(p, ctx, frame, frames, input->width)
-                                : value->uniform ? spread(p, ctx, frames * S, value->values)
-                                                 : value->values;
-        args->strand_input_gradient[j] = value ? value->gradient : NULL;
-        if (value && value->uniform && value->gradient &&
-            !(args->strand_input_gradient[j] = hg_step_alloc(ctx, (size_t)(frames * S) * size)))
-            return HG_MEMORY;
-        if (!args->strand_input[j]) return HG_MEMORY;
-    }
-    args->energy = hg_step_alloc(ctx, (size_t)(n * p->n) * sizeof(double) + 1);
-    if (!args->energy) return hg_fail(HG_MEMORY, "out of memory for %lld strands", (long long)(frames * S));
-
-    const hg_kernel kernel = {
-        .name = "strand_energies", .args_size = sizeof work, .cpu = strand_tiles, .block = p->lanes >= 64 ? 1 : 8
-    };
-    HG_TRY(hg_launch(ctx, &kernel, n, &work));
-    for (int64_t tile = 0; tile < n; tile++)
-        for (int t = 0; t < p->n; t++) unweighted[p->column[t]] += args->energy[tile * p->n + t];
+    const hg_strand_args *args = &work.args;
+    int64_t rows;
+    HG_TRY(fill_args(p, call, contact_point, contact_normal, &work.args));
+    HG_TRY(launch(p, &work, frames, &rows));
+    HG_TRY(hg_physics_sums(ctx, HG_F64, args->energy, rows, p->n, HG_F64, call->unweighted, column));
 
     for (int k = 1; k < program->n_arrays; k++) {
         const hg_strand_input *array = &program->arrays[k];
+        const hg_pass_value *value = find_value(p, call->n_values, call->values, array->kind, array->name, 0);
         if (array->rest && args->array_gradient[k])
-            HG_TRY(reduce(p, ctx, frame, frames, S * V * array->width, false, args->array_gradient[k],
-                          find_value(p, n_values, values, array->kind, array->name, 0)->gradient));
+            HG_TRY(hg_physics_groom_sum(ctx, p->dtype, call->groom, frames, p->data->grooms, S * V * array->width,
+                                        args->array_gradient[k], value->gradient));
     }
     for (int j = 2; j < program->n_inputs; j++) {
         const hg_strand_input *input = &program->inputs[j];
-        const hg_pass_value *value = find_value(p, n_values, values, input->kind, input->name, input->term);
+        const hg_pass_value *value = find_value(p, call->n_values, call->values, input->kind, input->name, input->term);
         if (value->uniform && value->gradient)
-            HG_TRY(reduce(p, ctx, frame, frames, S, true, args->strand_input_gradient[j], value->gradient));
+            HG_TRY(hg_physics_sums(ctx, p->dtype, args->strand_input_gradient[j], frames * S, 1, p->dtype,
+                                   value->gradient, NULL));
     }
     return HG_OK;
 }

@@ -187,12 +187,11 @@ static inline void scene_free(scene *s)
 static inline hg_tensor *upload(hg_ctx *ctx, hg_dtype dtype, int rank, const int64_t *shape, const double *values)
 {
     hg_tensor *tensor = hg_tensor_make(ctx, dtype, rank, shape);
-    for (int64_t i = 0; tensor && i < hg_tensor_count(tensor); i++) {
-        if (dtype == HG_F64)
-            ((double *)tensor->data)[i] = values[i];
-        else
-            ((float *)tensor->data)[i] = (float)values[i];
-    }
+    const int64_t n = tensor ? hg_tensor_count(tensor) : 0;
+    float *narrow = dtype == HG_F32 ? hg_alloc((size_t)n + 1, sizeof *narrow) : NULL;
+    for (int64_t i = 0; narrow && i < n; i++) narrow[i] = (float)values[i];
+    if (n && hg_tensor_write(tensor, narrow ? (const void *)narrow : values) != HG_OK) tensor = NULL;
+    hg_free(narrow);
     return tensor;
 }
 

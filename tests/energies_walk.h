@@ -2,6 +2,7 @@
 #ifndef ENERGIES_WALK_H
 #define ENERGIES_WALK_H
 
+#include "device.h"
 #include "energies_scene.h"
 
 #include "hairloss/physics.h"
@@ -43,7 +44,8 @@ static inline void each_variant(void (*what)(const variant *v, void *self), void
 static inline hg_ctx *make_context(int threads)
 {
     hg_ctx *ctx;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
+    const hg_ctx_options options = { .threads = threads, .seed = 1, .device = test_device() };
+    if (hg_ctx_create(&ctx, &options) != HG_OK) fail_msg("%s", hg_message());
     return ctx;
 }
 

@@ -67,12 +67,14 @@ static void test_levels(void **state)
             hg_strand_pass *pass;
             ok(hg_strand_pass_create(&pass, ctx, type, 4, terms, column, &s.data, NULL, true), "levels");
             ok(hg_strand_pass_backend(pass, ctx, HG_BACKEND_INTERPRETER, NULL), "levels");
-            ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, 0, NULL, a->data, expected, NULL, 4), "levels");
+            hg_pass_call call = { &frame, s.groom, x, 0, NULL, a->data, expected, NULL, 4 };
+            ok(hg_strand_pass_run(pass, &call, NULL, NULL), "levels");
+            call.gradient = b->data;
+            call.unweighted = energies;
             for (int level = 0; level < 4; level++) {
                 if (hg_strand_pass_backend(pass, ctx, HG_BACKEND_COMPILED, levels[level]) != HG_OK) continue;
                 found++;
-                ok(hg_strand_pass_run(pass, ctx, &frame, x, NULL, NULL, 0, NULL, b->data, energies, NULL, 4),
-                   levels[level]);
+                ok(hg_strand_pass_run(pass, &call, NULL, NULL), levels[level]);
                 double worst = 0, largest = 0;
                 for (int64_t i = 0; i < hg_tensor_count(x); i++) {
                     worst = fmax(worst, fabs(value(a, i) - value(b, i)));

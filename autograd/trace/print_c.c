@@ -9,6 +9,7 @@ typedef struct {
     const hg_strand_program *program; /* NULL: a function */
     const hg_numbers *numbers;
     hg_text *text;
+    bool warp;                                    /* for lanes that have a site each: see print_cuda.c */
     const hg_instruction *defined[INT16_MAX + 1]; /* of the list being printed */
 } printer;
 
@@ -45,7 +46,10 @@ static void operand(printer *p, hg_operand o, bool all)
         hg_text_add(text, all ? "hg_v_all(u[%d])" : "u[%d]", o.index);
         return;
     case HG_PLACE_SITE:
-        hg_text_add(text, "site[%d]", o.offset * p->program->n_site + o.index);
+        if (p->warp)
+            hg_text_add(text, "site[V * %d + %d]", o.index, o.offset);
+        else
+            hg_text_add(text, "site[%d]", o.offset * p->program->n_site + o.index);
         return;
     case HG_PLACE_GROOM_STRAND:
         hg_text_add(text, "groom_strand[%d]", o.index);
@@ -79,7 +83,8 @@ static void operand(printer *p, hg_operand o, bool all)
         return;
     case HG_PLACE_GRADIENT_X1:
     case HG_PLACE_GRADIENT_REST1:
-        hg_text_add(text, "tile_gradient_%s[second + %d]", o.place == HG_PLACE_GRADIENT_X1 ? "x" : "rest", o.index);
+        hg_text_add(text, p->warp ? "tile_gradient_%s[second_share + %d]" : "tile_gradient_%s[second + %d]",
+                    o.place == HG_PLACE_GRADIENT_X1 ? "x" : "rest", o.index);
         return;
     case HG_PLACE_CARRY:
         hg_text_add(text, "carry[%d]", program->n_carry * o.offset + o.index);
@@ -218,15 +223,15 @@ static void vertex(printer *p, const hg_code *code, const char *indent)
             char name[40];
             hg_strand_array_name(p->program, k, gradient, name);
             if (touches(code, (gradient ? HG_PLACE_ARRAY_GRADIENT : HG_PLACE_ARRAY) + k))
-                hg_text_add(text, "%s%shg_v *restrict %s = tile_%s + %d * i;\n", indent, gradient ? "" : "const ", name,
+                hg_text_add(text, "%s%s %s = tile_%s + %d * i;\n", indent, gradient ? "hg_tile" : "hg_tile_read", name,
                             name, program->arrays[k].width);
         }
     if (touches(code, HG_PLACE_SITE))
-        hg_text_add(text, "%sconst hg_v *restrict site = sites + i * %d;\n", indent, program->n_site);
+        hg_text_add(text, "%shg_tile_read site = sites + i * %d;\n", indent, program->n_site);
     if (touches(code, HG_PLACE_CARRY))
-        hg_text_add(text, "%shg_v *restrict carry = tile_carry + i * %d;\n", indent, program->n_carry);
+        hg_text_add(text, "%shg_tile carry = tile_carry + i * %d;\n", indent, program->n_carry);
     if (touches(code, HG_PLACE_CARRY_ADJOINT))
-        hg_text_add(text, "%shg_v *restrict carry_adjoint = tile_carry_adjoint + i * %d;\n", indent, program->n_carry);
+        hg_text_add(text, "%shg_tile carry_adjoint = tile_carry_adjoint + i * %d;\n", indent, program->n_carry);
     list(p, code, indent);
 }
 
@@ -283,7 +288,7 @@ static void walk(printer *p, const hg_code *bodies, bool back, bool look_ahead)
 
 static void tile(printer *p, const char *name, hg_strand_tile at)
 {
-    hg_text_add(p->text, "    hg_v *restrict tile_%s = (hg_v *)scratch + (%d * V + %d);\n", name, at.rows, at.extra);
+    hg_text_add(p->text, "    hg_tile tile_%s = hg_v_tile(scratch, %d * V + %d);\n", name, at.rows, at.extra);
 }
 
 static void load(printer *p)
@@ -412,11 +417,9 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     if (rest) hg_text_add(text, "        const int64_t stored = groom * args->tiles + t %% args->tiles;\n");
     if (rest_array) hg_text_add(text, "        const int64_t in_groom = groom * S + s;\n");
     if (program->n_site)
-        hg_text_add(text, "        const hg_v *restrict sites = (const hg_v *)args->site + stored * V * %d;\n",
-                    program->n_site);
+        hg_text_add(text, "        hg_tile_read sites = hg_v_stored(args->site, stored, V * %d);\n", program->n_site);
     if (program->n_groom_strand)
-        hg_text_add(text,
-                    "        const hg_v *restrict groom_strand = (const hg_v *)args->groom_strand + stored * %d;\n",
+        hg_text_add(text, "        hg_tile_read groom_strand = hg_v_stored(args->groom_strand, stored, %d);\n",
                     program->n_groom_strand);
     load(p);
     hg_text_add(text, "        hg_v energy[%d] = { 0 };\n", program->n_terms);
@@ -426,7 +429,8 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
     preamble(p);
     if (program->n_carry) {
         walk(p, program->forward, false, false);
-        hg_text_add(text, "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(HG_R(0.0));\n",
+        hg_text_add(text,
+                    "        for (int k = 0; k < %d; k++) tile_carry_adjoint[%d * V + k] = hg_v_all(HG_R(0.0));\n",
                     program->n_carry, program->n_carry);
         walk(p, program->body, true, true);
     } else {
@@ -442,7 +446,8 @@ void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_te
 
 /* ---- for the other printer ---------------------------------------------------------------------------------- */
 
-void hg_strand_print_list(const hg_strand_program *program, const hg_code *code, const char *indent, hg_text *text)
+void hg_strand_print_list(const hg_strand_program *program, const hg_code *code, bool warp, const char *indent,
+                          hg_text *text)
 {
     printer *p = hg_alloc(1, sizeof *p);
     if (!p) {
@@ -452,6 +457,7 @@ void hg_strand_print_list(const hg_strand_program *program, const hg_code *code,
     p->program = program;
     p->numbers = &program->numbers;
     p->text = text;
+    p->warp = warp;
     list(p, code, indent);
     hg_free(p);
 }

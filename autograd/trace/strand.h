@@ -175,17 +175,23 @@ void hg_strand_interpret(const hg_strand_program *program, const hg_strand_args 
 /* A function `name`, an hg_strand_kernel, as C with GCC vector extensions; the file that holds it includes
  * strand_vector.h once, with HG_BYTES (4 or 8) and HG_LANES defined. */
 void hg_strand_print_c(const hg_strand_program *program, const char *name, hg_text *text);
-/* Parts of it: the statements of a list over hg_v; the name of array k, or of its gradient; does a list use a place? */
-void hg_strand_print_list(const hg_strand_program *program, const hg_code *code, const char *indent, hg_text *text);
+/* Parts of it: the statements of a list over hg_v; the name of array k, or of its gradient; does a list use a place? warp: stored
+ * values are [n_site,V], and the second vertex's gradient has a name of its own. */
+void hg_strand_print_list(const hg_strand_program *program, const hg_code *code, bool warp, const char *indent,
+                          hg_text *text);
 void hg_strand_array_name(const hg_strand_program *program, int k, bool gradient, char name[40]);
 bool hg_strand_list_touches(const hg_code *code, int place);
 
-/* A __global__ kernel `name` as CUDA C; the file that holds it includes strand_cuda.h once, with HG_BYTES defined. Tiles of
- * one strand: site [G,S,V,n_site], energy [B,S,terms]. A warp has a strand and its lanes the sites; each site's share of a
- * gradient has a place of its own, and a vertex gathers those of its sites in their order: no atomics, the same bits in any
- * schedule. Where values are carried a thread has a strand. Launched with whole warps over `count` strands from `first` on. */
+/* ---- printed CUDA ------------------------------------------------------------------------------------------- */
+
+/* A kernel `name` of hg_strand_args as CUDA C++: the text of an hg_kernel; only one kernel in a text. A strand has a warp, a
+ * block HG_STRAND_CUDA_THREADS / 32 of them or fewer: n strands are launched, `indices` of them for each block, with the shared
+ * memory of as many; energy is [blocks,terms]. site: [G,S,n_site,V].
+ * Where values are carried a strand has a thread, of any number n that is launched (args.count strands, in rounds), whole warps
+ * of them with scratch; energy is [B,S,terms]. site: [G*S/32,V,n_site,32], strands of all grooms in a row. */
+enum { HG_STRAND_CUDA_THREADS = 256 };
 void hg_strand_print_cuda(const hg_strand_program *program, const char *name, hg_text *text);
-/* Bytes that a warp needs of dynamic shared memory, and a strand of scratch. */
+/* Bytes of shared memory that a strand needs, and of scratch. */
 size_t hg_strand_cuda_shared(const hg_strand_program *program, int64_t vertices);
 size_t hg_strand_cuda_scratch(const hg_strand_program *program, int64_t vertices);
 

@@ -7,14 +7,10 @@
 #ifndef HG_STRAND_KERNEL_H
 #define HG_STRAND_KERNEL_H
 
-#if defined(__CUDACC_RTC__) /* NVRTC has no such headers */
-typedef int int32_t;
-typedef long long int64_t;
-typedef unsigned long long uint64_t;
-#else
+#ifndef HG_CUDA /* NVRTC has no such header, and size_t without it */
 #include <stddef.h>
-#include <stdint.h>
 #endif
+#include <stdint.h>
 
 /* What a program reads by vertex (x first), and by strand (root rotation, root position, then what a call gives). */
 enum { HG_STRAND_ARRAYS = 16, HG_STRAND_INPUTS = 24 };
@@ -33,6 +29,8 @@ typedef struct {
     double *per_strand;                            /* [B,S,stride] or NULL: term t goes to column[t] */
     int64_t stride;
     const int32_t *column;
+    int64_t count; /* printed CUDA: strands of all frames, and where a thread per strand has room for its tile */
+    void *scratch;
 } hg_strand_args;
 
 /* Tiles first .. last-1 of all frames; scratch is the thread's own, 64-byte aligned. */

@@ -24,6 +24,8 @@ typedef int32_t hg_integer;
 #define HG_MATH(name) name##f
 #endif
 typedef hg_real hg_v __attribute__((vector_size(HG_LANES * HG_BYTES), may_alias));
+typedef hg_v *restrict hg_tile; /* rows of a tile */
+typedef const hg_v *restrict hg_tile_read;
 typedef hg_integer hg_m __attribute__((vector_size(HG_LANES * HG_BYTES), may_alias));
 
 #if defined(__clang__)
@@ -150,6 +152,13 @@ static inline __attribute__((always_inline)) void hg_v_transpose(hg_v *m)
 #else
 #error "HG_LANES is 2, 4, 8 or 16"
 #endif
+}
+
+/* Where the scratch's row `at` is, and the values of a groom's tile, `size` for each strand. */
+static inline hg_v *hg_v_tile(void *scratch, int64_t at) { return (hg_v *)scratch + at; }
+static inline const hg_v *hg_v_stored(const void *from, int64_t tile, int64_t size)
+{
+    return (const hg_v *)from + tile * size;
 }
 
 /* width numbers of each strand, row by row, to [width][HG_LANES]; strands that are missing repeat the last one. */
