@@ -13,9 +13,9 @@
  * (physics_field_pairs.h); the derivatives that few ask for walk over the neighbours of every vertex. Distances are
  * gathered over many vertices until there are lanes enough for a run of the traced kernel. No two threads write to one
  * place, and the order of sums is fixed. */
+#include "hairloss/physics_field.h"
 #include "geometry/scan.h"
 #include "geometry/vector.h"
-#include "hairloss/physics_pass.h"
 
 #include <math.h>
 #include <string.h>
@@ -28,43 +28,8 @@ enum {
     MOST_KEPT = 1 << 20 /* vertices whose pairs are kept from the sums to the gradient */
 };
 
-/* The pairs that were found in a layer of cells, by owner, in pieces that are kept from call to call; 8 bytes a pair in
- * f32. */
-enum { PIECE_PAIRS = 8192, PIECE_OWNERS = 1024 };
-typedef struct field_piece {
-    struct field_piece *next;
-    int n_owners, n;
-    int32_t owner[PIECE_OWNERS], count[PIECE_OWNERS], place[PIECE_PAIRS];
-    double value[]; /* [PIECE_PAIRS] W'/r in the precision of the pass */
-} field_piece;
-typedef struct {
-    field_piece *first, *last; /* in use up to `last`, NULL: none */
-    bool failed;
-} field_slab;
-
-typedef struct {
-    hg_pass pass;
-    hg_function *kernel, *kernel_slope, *kernel_full; /* W; W with W'; W with its slope in every param */
-    hg_function *function, *full;                     /* f with f'; f with its slope in every input */
-    hg_pass_inputs kernel_inputs, inputs;
-    int kernel_distance, field, field_rest; /* numbers of inputs */
-    int reach;                              /* the param that is half the support */
-    double radius;                          /* the support of this call */
-    uint32_t kernel_params;                 /* bit of each param that the kernel asks for */
-    bool weighs;                            /* kernel_mass: kg */
-    hg_cells cells;
-    void *own_rest;                                             /* [G,n] the field at rest; of this call: */
-    void *rest_now;                                             /* [G,n], made when first needed */
-    bool *rest_made;                                            /* [G] */
-    void *sums, *slope, *rest_slope, *slope_place, *mass_place; /* [n] of the frame at work */
-    field_slab *slabs;                                          /* [slabs_room] */
-    int64_t slabs_room;
-    bool kept;           /* the slabs hold the pairs of the cells */
-    double *theta_place; /* [n] what a place leaves for the derivative of a param of the kernel */
-} field_pass;
-
 /* Is the rest field made of what this call brings? */
-static bool rest_follows(const field_pass *pass)
+bool hg_field_rest_follows(const field_pass *pass)
 {
     const hg_pass *base = &pass->pass;
     if (base->source[HG_PASS_FIELD_REST].given || hg_groom_attribute_find(base->data, "density_rest")) return false;
@@ -148,7 +113,7 @@ static void field_destroy(void *self)
     hg_function *functions[] = { pass->kernel, pass->kernel_slope, pass->kernel_full, pass->function, pass->full };
     for (size_t i = 0; i < sizeof functions / sizeof *functions; i++) hg_function_destroy(functions[i]);
     hg_cells_free(&pass->cells);
-    void *arrays[] = { pass->own_rest,   pass->rest_now,    pass->rest_made,  pass->sums,       pass->slope,
+    void *arrays[] = { pass->rest_now,   pass->rest_made,   pass->sums,       pass->slope,
                        pass->rest_slope, pass->slope_place, pass->mass_place, pass->theta_place };
     for (size_t i = 0; i < sizeof arrays / sizeof *arrays; i++) hg_free(arrays[i]);
     for (int64_t s = 0; s < pass->slabs_room; s++)
@@ -201,7 +166,7 @@ static hg_status make_function(field_pass *pass)
 }
 
 /* The rest field of the groom itself: given, or the same sums over the rest groom, in double whatever the pass. */
-static hg_status make_rest(field_pass *pass, hg_ctx *ctx)
+static hg_status make_rest(field_pass *pass)
 {
     const hg_groom_data *data = pass->pass.data;
     const int64_t n = data->strands * data->vertices;
@@ -212,12 +177,13 @@ static hg_status make_rest(field_pass *pass, hg_ctx *ctx)
         rest = hg_alloc((size_t)(data->grooms * n) + 1, sizeof *rest);
         if (!rest) return HG_MEMORY;
         for (int64_t g = 0; g < data->grooms && status == HG_OK; g++)
-            status = make_field_d(pass, ctx, data->rest + 3 * g * n, data->mass + g * n, false, rest + g * n);
+            status =
+                make_field_d(pass, pass->pass.host, data->rest + 3 * g * n, data->mass + g * n, false, rest + g * n);
         hg_cells_free(&pass->cells);
     }
-    if (status == HG_OK) pass->own_rest = hg_pass_values(pass->pass.dtype, data->grooms * n, given ? given : rest);
+    if (status == HG_OK) status = hg_pass_own(&pass->pass, HG_PASS_FIELD_REST, data->grooms * n, given ? given : rest);
     hg_free(rest);
-    return status != HG_OK ? status : pass->own_rest ? HG_OK : HG_MEMORY;
+    return status;
 }
 
 static hg_status set_reach(field_pass *pass)
@@ -253,7 +219,8 @@ static hg_status field_make(field_pass *pass, const hg_pass_setup *setup)
     pass->pass.uniform_only = pass->kernel_params | 1u << pass->reach;
     HG_TRY(hg_pass_begin(&pass->pass, &(hg_frame){ 0 }, 0, NULL));
     HG_TRY(set_reach(pass));
-    return make_rest(pass, setup->ctx);
+    HG_TRY(make_rest(pass));
+    return hg_ctx_host(setup->ctx) ? HG_OK : hg_field_device_make(pass);
 }
 
 static hg_status field_create(void **self, const hg_pass_setup *setup)
@@ -277,16 +244,16 @@ static hg_status field_run(void *self, hg_ctx *ctx, const hg_pass_call *call)
     const size_t n = (size_t)(base->strands * base->vertices);
     HG_TRY(hg_pass_begin(base, call->frame, call->n_values, call->values));
     HG_TRY(set_reach(pass));
-    if (rest_follows(pass) && !pass->rest_now) {
+    const bool follows = hg_field_rest_follows(pass);
+    if (follows && !base->source[HG_PASS_REST].given) { /* the groom's own rest, in the precision of the pass */
+        void **own = &base->own[HG_PASS_REST];
+        if (!*own) HG_TRY(hg_pass_own(base, HG_PASS_REST, 3 * base->grooms * (int64_t)n, base->data->rest));
+        base->source[HG_PASS_REST].values = *own;
+    }
+    if (!hg_ctx_host(ctx)) return hg_field_device_run(pass, ctx, call);
+    if (follows && !pass->rest_now) {
         pass->rest_now = hg_alloc((size_t)base->grooms * n + 1, hg_dtype_size(base->dtype));
         if (!pass->rest_now) return hg_fail(HG_MEMORY, "out of memory for the field at rest");
-    }
-    if (rest_follows(pass) &&
-        !base->source[HG_PASS_REST].given) { /* the groom's own rest, in the precision of the pass */
-        void **own = &base->own[HG_PASS_REST];
-        if (!*own) *own = hg_pass_values(base->dtype, 3 * base->grooms * (int64_t)n, base->data->rest);
-        if (!*own) return hg_fail(HG_MEMORY, "out of memory for the rest groom");
-        base->source[HG_PASS_REST].values = *own;
     }
     if (base->wants && !pass->theta_place) {
         pass->theta_place = hg_alloc(n + 1, sizeof *pass->theta_place);

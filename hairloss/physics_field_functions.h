@@ -255,7 +255,7 @@ static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *f
     const int64_t n = base->strands * base->vertices, groom = frame->groom;
     const hg_pass_source *mass = &base->source[HG_PASS_MASS], *rest = &base->source[HG_PASS_REST],
                          *field_rest = &base->source[HG_PASS_FIELD_REST];
-    const bool follows = rest_follows(pass);
+    const bool follows = hg_field_rest_follows(pass);
     const hg_real *rest_x = follows ? (const hg_real *)rest->values + 3 * groom * n : NULL;
     HG_P(field_args)
     args = { .pass = pass,
@@ -269,10 +269,7 @@ static hg_status HG_P(run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *f
              .gradient = frame->gradient,
              .mass_gradient = pass->weighs && mass->gradient ? (hg_real *)mass->gradient + groom * n : NULL,
              .theta_place = pass->theta_place };
-    args.field_rest = (const hg_real *)(follows             ? pass->rest_now
-                                        : field_rest->given ? field_rest->values
-                                                            : pass->own_rest) +
-                      groom * n;
+    args.field_rest = (const hg_real *)(follows ? pass->rest_now : field_rest->values) + groom * n;
     if (follows && !pass->rest_made[groom]) {
         HG_TRY(HG_P(make_field)(pass, ctx, rest_x, args.vertex_mass, false, (hg_real *)pass->rest_now + groom * n));
         pass->rest_made[groom] = true;

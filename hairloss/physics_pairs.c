@@ -5,32 +5,15 @@
  * sums is fixed. A pair counts for the strand of its first vertex.
  *
  * The list is made of the groom's own rest, whatever rest the frame gives: which vertices are near has no derivative. */
+#include "hairloss/physics_pairs.h"
 #include "geometry/vector.h"
-#include "hairloss/physics_pass.h"
 
 #include <math.h>
 
 enum { BLOCK = 512, STRANDS = 32 };
 
-typedef struct {
-    hg_pass pass;
-    hg_function *function, *full; /* value and slope in the distance; the same and the slope in every other input */
-    hg_pass_inputs inputs;
-    int distance, rest_distance;  /* numbers of inputs */
-    int slope_of[HG_PASS_INPUTS]; /* output of `full`; -1: none */
-    hg_pairs **pairs;             /* [G] */
-    bool own_pairs;
-    int radius, count; /* the params that make the list, -1: none */
-    double radius_now, count_now;
-    int64_t most_pairs;
-    void **rest_distances;        /* [G] [M], of the groom's own rest */
-    void *energies, *forces;      /* [M], [M,3] on the first of a pair, of the frame at work */
-    void *rest_forces;            /* [M,3] the same of rest; made when first asked for */
-    void *slopes[HG_PASS_INPUTS]; /* [M] derivatives in the inputs; made when first asked for */
-} pairs_pass;
-
 /* Is the derivative of input i asked for? */
-static bool wanted(const pairs_pass *pass, int i)
+bool hg_pairs_wanted(const pairs_pass *pass, int i)
 {
     if (pass->slope_of[i] < 0 || i == pass->distance) return false;
     const int source = i == pass->rest_distance ? HG_PASS_REST : pass->inputs.source[i];
@@ -53,6 +36,7 @@ static bool wanted(const pairs_pass *pass, int i)
 
 static void free_pairs(pairs_pass *pass)
 {
+    hg_pairs_device_free(pass);
     for (int64_t g = 0; g < pass->pass.grooms; g++) {
         if (pass->own_pairs && pass->pairs) hg_pairs_destroy(pass->pairs[g]);
         if (pass->own_pairs && pass->pairs) pass->pairs[g] = NULL;
@@ -85,7 +69,7 @@ static void pairs_destroy(void *self)
 }
 
 /* The lists and what is as long as they are. */
-static hg_status make_pairs(pairs_pass *pass, hg_ctx *ctx, double radius, double count)
+static hg_status make_pairs(pairs_pass *pass, double radius, double count)
 {
     const hg_groom_data *data = pass->pass.data;
     const char *name = pass->pass.term.energy->name;
@@ -106,8 +90,8 @@ static hg_status make_pairs(pairs_pass *pass, hg_ctx *ctx, double radius, double
                                "%s: pairs are made with a radius above 0 m and a count from 0 to 32, not %g "
                                "and %g",
                                name, radius, count);
-            HG_TRY(hg_pairs_nearest(ctx, &pass->pairs[g], data->strands, data->vertices, data->rest + 3 * n * g, radius,
-                                    (int)count));
+            HG_TRY(hg_pairs_nearest(pass->pass.host, &pass->pairs[g], data->strands, data->vertices,
+                                    data->rest + 3 * n * g, radius, (int)count));
         }
         const hg_pairs *pairs = pass->pairs[g];
         if (pairs->n_pairs > pass->most_pairs) pass->most_pairs = pairs->n_pairs;
@@ -123,12 +107,12 @@ static hg_status make_pairs(pairs_pass *pass, hg_ctx *ctx, double radius, double
                 ((double *)pass->rest_distances[g])[p] = d;
         }
     }
-    pass->energies = hg_alloc((size_t)pass->most_pairs + 1, real);
-    pass->forces = hg_alloc(3 * (size_t)pass->most_pairs + 1, real);
-    if (!pass->energies || !pass->forces) return HG_MEMORY;
     pass->radius_now = radius;
     pass->count_now = count;
-    return HG_OK;
+    if (!hg_ctx_host(pass->pass.ctx)) return hg_pairs_device_lists(pass);
+    pass->energies = hg_alloc((size_t)pass->most_pairs + 1, real);
+    pass->forces = hg_alloc(3 * (size_t)pass->most_pairs + 1, real);
+    return pass->energies && pass->forces ? HG_OK : HG_MEMORY;
 }
 
 static hg_status make_functions(pairs_pass *pass, uint32_t kinds)
@@ -183,7 +167,8 @@ static hg_status pairs_make(pairs_pass *pass, const hg_pass_setup *setup)
     }
     pass->pass.uniform_only = pass->pass.makes_list;
     HG_TRY(make_functions(pass, kinds));
-    return make_pairs(pass, setup->ctx, pass->radius < 0 ? 0 : setup->term.params[pass->radius],
+    if (!hg_ctx_host(setup->ctx)) HG_TRY(hg_pairs_device_make(pass));
+    return make_pairs(pass, pass->radius < 0 ? 0 : setup->term.params[pass->radius],
                       pass->count < 0 ? 0 : setup->term.params[pass->count]);
 }
 
@@ -206,13 +191,16 @@ static hg_status pairs_run(void *self, hg_ctx *ctx, const hg_pass_call *call)
     pairs_pass *pass = self;
     HG_TRY(hg_pass_begin(&pass->pass, call->frame, call->n_values, call->values));
     if (pass->own_pairs) { /* a list of another radius or count */
-        const double radius = pass->pass.source[pass->radius].uniform, count = pass->pass.source[pass->count].uniform;
-        if (radius != pass->radius_now || count != pass->count_now) HG_TRY(make_pairs(pass, ctx, radius, count));
+        double radius, count;
+        HG_TRY(hg_pass_number(&pass->pass, pass->radius, &radius));
+        HG_TRY(hg_pass_number(&pass->pass, pass->count, &count));
+        if (radius != pass->radius_now || count != pass->count_now) HG_TRY(make_pairs(pass, radius, count));
     }
+    if (!hg_ctx_host(ctx)) return hg_pairs_device_run(pass, ctx, call);
     const size_t real = hg_dtype_size(pass->pass.dtype), pairs = (size_t)pass->most_pairs;
     hg_pass_inputs_fill(&pass->inputs, &pass->pass);
     for (int i = 0; i < pass->inputs.n; i++) {
-        if (!wanted(pass, i)) continue;
+        if (!hg_pairs_wanted(pass, i)) continue;
         void **array = i == pass->rest_distance ? &pass->rest_forces : &pass->slopes[i];
         if (!*array) *array = hg_alloc((i == pass->rest_distance ? 3 : 1) * pairs + 1, real);
         if (!*array) return hg_fail(HG_MEMORY, "out of memory for the derivatives of %zu pairs", pairs);

@@ -63,11 +63,11 @@ static void HG_P(evaluate_pairs)(const void *args, int64_t first, int64_t last)
         in[i] = gathered[i];
     }
     for (int i = 0; base->wants && i < pass->inputs.n; i++)
-        if (wanted(pass, i))
+        if (hg_pairs_wanted(pass, i))
             out[pass->slope_of[i]] = i == pass->rest_distance ? rest_slope : (hg_real *)pass->slopes[i] + first;
     hg_function_run(base->wants ? pass->full : pass->function, base->dtype, count, in, pass->inputs.uniform, out);
     if (a->frame->gradient) HG_P(keep_forces)((hg_real *)pass->forces + 3 * first, count, slope, direction, weight);
-    if (base->wants && wanted(pass, pass->rest_distance))
+    if (base->wants && hg_pairs_wanted(pass, pass->rest_distance))
         HG_P(keep_forces)((hg_real *)pass->rest_forces + 3 * first, count, rest_slope, rest_direction, weight);
 }
 
@@ -109,7 +109,7 @@ static void HG_P(gather_pairs)(const void *args, int64_t first, int64_t last)
             for (int64_t v = s * V; v < (s + 1) * V; v++)
                 HG_P(add_forces)(a->pairs, v, pass->forces, (hg_real *)a->frame->gradient + 3 * v);
         for (int i = 0; base->wants && i < pass->inputs.n; i++) {
-            if (!wanted(pass, i)) continue;
+            if (!hg_pairs_wanted(pass, i)) continue;
             const hg_pass_source *source =
                 &base->source[i == pass->rest_distance ? HG_PASS_REST : pass->inputs.source[i]];
             for (int64_t v = s * V; v < (s + 1) * V; v++) {

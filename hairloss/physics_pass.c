@@ -51,10 +51,33 @@ void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from)
     return to;
 }
 
+hg_status hg_pass_own(hg_pass *pass, int s, int64_t n, const double *from)
+{
+    void *values = hg_pass_values(pass->dtype, n, from);
+    if (!values) return hg_fail(HG_MEMORY, "out of memory for %lld numbers of a groom", (long long)n);
+    if (hg_ctx_host(pass->ctx)) {
+        pass->own[s] = values;
+        return HG_OK;
+    }
+    hg_tensor *tensor = pass->own_tensor[s] = hg_tensor_create(pass->ctx, pass->dtype, 1, &n);
+    const hg_status status = tensor ? hg_tensor_write(tensor, values) : HG_MEMORY;
+    if (tensor) pass->own[s] = tensor->data;
+    hg_free(values);
+    return status;
+}
+
 void hg_pass_free(hg_pass *pass)
 {
     for (int a = 0; a < pass->n_attributes; a++) hg_free(pass->attributes[a]);
-    for (int s = 0; s < HG_PASS_SOURCES; s++) hg_free(pass->own[s]);
+    for (int s = 0; s < HG_PASS_SOURCES; s++) {
+        if (pass->own_tensor[s])
+            hg_tensor_destroy(pass->own_tensor[s]);
+        else
+            hg_free(pass->own[s]);
+    }
+    for (int i = 0; i < pass->n_kernels; i++) hg_kernel_release(pass->ctx, &pass->kernels[i]);
+    hg_text_free(&pass->text);
+    if (pass->host != pass->ctx) hg_ctx_destroy(pass->host);
     hg_free(pass->strand_slopes);
     hg_free(pass->strand_energies);
 }
@@ -64,6 +87,11 @@ hg_status hg_pass_create(hg_pass *pass, const hg_pass_setup *setup, uint32_t all
     const hg_groom_data *data = setup->data;
     const int64_t n = data->grooms * data->strands * data->vertices;
     hg_trace_scope scope;
+    pass->ctx = setup->ctx;
+    if (hg_ctx_host(setup->ctx))
+        pass->host = setup->ctx;
+    else
+        HG_TRY(hg_ctx_create(&pass->host, &(hg_ctx_options){ .threads = hg_ctx_threads(setup->ctx) }));
     pass->dtype = setup->dtype;
     pass->term = setup->term;
     pass->number = setup->number;
@@ -73,17 +101,16 @@ hg_status hg_pass_create(hg_pass *pass, const hg_pass_setup *setup, uint32_t all
     pass->vertices = data->vertices;
     hg_term_scope(&scope, &setup->term, 0, allowed);
     HG_TRY(hg_formula_inputs(setup->term.energy->trace, &scope, kinds, &pass->n_attributes, pass->attributes));
-    pass->own[HG_PASS_MASS] = hg_pass_values(pass->dtype, n, data->mass);
+    HG_TRY(hg_pass_own(pass, HG_PASS_MASS, n, data->mass));
     pass->strand_slopes = hg_alloc((size_t)(HG_PASS_SOURCES * pass->strands) + 1, sizeof *pass->strand_slopes);
     pass->strand_energies = hg_alloc((size_t)pass->strands + 1, sizeof *pass->strand_energies);
-    if (!pass->own[HG_PASS_MASS] || !pass->strand_slopes || !pass->strand_energies) return HG_MEMORY;
+    if (!pass->strand_slopes || !pass->strand_energies) return HG_MEMORY;
     for (int a = 0; a < pass->n_attributes; a++) {
         const double *from = hg_groom_attribute_find(data, pass->attributes[a]);
         if (!from)
             return hg_fail(HG_INVALID, "energy '%s' asks for the groom attribute '%s', which the groom does not have",
                            setup->term.energy->name, pass->attributes[a]);
-        pass->own[HG_PASS_ATTRIBUTE + a] = hg_pass_values(pass->dtype, n, from);
-        if (!pass->own[HG_PASS_ATTRIBUTE + a]) return HG_MEMORY;
+        HG_TRY(hg_pass_own(pass, HG_PASS_ATTRIBUTE + a, n, from));
     }
     for (int s = 0; s < HG_PASS_SOURCES; s++)
         pass->source[s].strands = pass->strand_slopes + (int64_t)s * pass->strands;
@@ -133,6 +160,8 @@ static hg_status take(hg_pass *pass, int s, const hg_pass_value *value)
     pass->wants |= value->gradient != NULL;
     if (s >= HG_PASS_MASS) {
         source->values = value->values;
+    } else if (value->uniform && !hg_ctx_host(pass->ctx)) {
+        source->values = value->values;
     } else if (value->uniform) {
         source->uniform =
             pass->dtype == HG_F32 ? (double)*(const float *)value->values : *(const double *)value->values;
@@ -158,6 +187,17 @@ hg_status hg_pass_begin(hg_pass *pass, const hg_frame *frame, int n_values, cons
         const int s = source_of(pass, &values[i]);
         if (s >= 0) HG_TRY(take(pass, s, &values[i]));
     }
+    return HG_OK;
+}
+
+hg_status hg_pass_number(const hg_pass *pass, int param, double *number)
+{
+    const hg_pass_source *source = &pass->source[param];
+    *number = source->uniform;
+    if (!source->values) return HG_OK;
+    hg_tensor *given = hg_tensor_wrap(pass->ctx, pass->dtype, 0, NULL, (void *)(uintptr_t)source->values);
+    if (!given) return HG_MEMORY;
+    *number = hg_tensor_item(given, 0);
     return HG_OK;
 }
 

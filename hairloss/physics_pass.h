@@ -6,9 +6,12 @@
 #define HG_HAIRLOSS_PHYSICS_PASS_H
 
 #include "hairloss/physics.h"
+#include "tensor/kernel.h"
 
-#define HG_PASS_INPUTS     32
+#include "hairloss/physics_pass_lanes.inc" /* HG_PASS_INPUTS, hg_pass_lanes */
+
 #define HG_PASS_ATTRIBUTES 8
+#define HG_PASS_KERNELS    8
 
 /* The sources of a term: its params by number, then these, then its attributes. */
 enum {
@@ -21,13 +24,15 @@ enum {
 };
 
 typedef struct {
-    enum { HG_PASS_UNIFORM, HG_PASS_STRAND, HG_PASS_GROOM } shape; /* one value, [B,S], [G,S,V,w] */
-    bool given;                                                    /* by the frame of this call */
+    int shape;  /* HG_PASS_UNIFORM, .._STRAND, .._GROOM: one value, [B,S], [G,S,V,w] */
+    bool given; /* by the frame of this call */
     double uniform;
-    const void *values; /* in the precision of the pass; not of a uniform one */
-    void *gradient;     /* of the same shape, NULL: not wanted */
-    double sum;         /* of a uniform one: its derivative, over the frames */
-    double *strands;    /* [S] of the frame at work: what a uniform one and one per strand leave for hg_pass_frames */
+    const void
+        *values;     /* of the device, in the precision of the pass; of a uniform one NULL on the host, and where it is
+                           not given */
+    void *gradient;  /* of the same shape, NULL: not wanted */
+    double sum;      /* of a uniform one: its derivative, over the frames */
+    double *strands; /* [S] of the frame at work: what a uniform one and one per strand leave for hg_pass_frames */
 } hg_pass_source;
 
 /* One input of a function: a source, or (source -1) something that the pass brings by itself. */
@@ -53,14 +58,19 @@ typedef struct hg_pass {
     int64_t grooms, strands, vertices;
     uint32_t uniform_only; /* bit of each param that has to be one value, because it makes a list or a sum */
     uint32_t makes_list;   /* bit of each param that has no derivative */
+    hg_ctx *ctx, *host; /* the physics' own; one for what is made once on the host: the same where that is the device */
     char *attributes[HG_PASS_ATTRIBUTES];
     int n_attributes;
     void *own[HG_PASS_SOURCES]; /* [G,S,V,w] of the groom, in the precision of the pass; NULL: not asked for */
+    hg_tensor *own_tensor[HG_PASS_SOURCES]; /* whose data they are on another device than the host */
     hg_pass_source source[HG_PASS_SOURCES];
     double *strand_slopes;   /* [sources,S] */
     double *strand_energies; /* [S] of the frame at work */
     bool wants;              /* some source's derivative is asked for */
-    hg_status (*run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *frame);
+    hg_status (*run_frame)(void *self, hg_ctx *ctx, const hg_pass_frame *frame); /* on the host */
+    hg_text text; /* of the kernels of another device: the traced functions, and the bodies that call them */
+    hg_kernel kernels[HG_PASS_KERNELS];
+    int n_kernels;
 } hg_pass;
 
 /* Takes what the setup says; traces the energy's formula to know the attributes. */
@@ -73,12 +83,36 @@ int hg_pass_inputs_add(hg_pass_inputs *list, hg_input input, int source, int sid
 void hg_pass_inputs_add_uniform(hg_pass_inputs *list, const hg_pass *pass, bool dt); /* the params, and the time step */
 void hg_pass_inputs_fill(hg_pass_inputs *list, const hg_pass *pass);
 
-/* n numbers in the precision of the pass, to be freed. */
+/* n numbers in the precision of the pass, to be freed; the same as source s of the pass, on its device. */
 void *hg_pass_values(hg_dtype dtype, int64_t n, const double *from);
+hg_status hg_pass_own(hg_pass *pass, int s, int64_t n, const double *from);
 
 /* The values of this call. */
 hg_status hg_pass_begin(hg_pass *pass, const hg_frame *frame, int n_values, const hg_pass_value *values);
+/* A param of one value, for what is made on the host; where the call gives it on another device, this waits for it. */
+hg_status hg_pass_number(const hg_pass *pass, int param, double *number);
 /* Runs the frames one after another, and adds up what they leave. */
 hg_status hg_pass_frames(void *self, hg_ctx *ctx, const hg_pass_call *call);
+
+/* ---- on another device than the host: all frames at once (physics_pass_device.c) ------------------------------ */
+
+/* Kernels of the text, which live as long as the pass; returns the kernel's number in pass->kernels. */
+int hg_pass_kernel(hg_pass *pass, const char *name, size_t args_size);
+/* The inputs of a function as the kernels of this call find them. */
+void hg_pass_lanes_fill(hg_pass_lanes *lanes, const hg_pass *pass, const hg_pass_inputs *inputs);
+/* energies [B,S,V] of the vertices: the sum and the sums per strand go where the call wants them. */
+hg_status hg_pass_energies(const hg_pass *pass, hg_ctx *ctx, const hg_pass_call *call, const double *energies);
+/* Adds scale * the sums of slopes [frames,S,V,w] to the gradient of a source. groom: of each frame, NULL: all 0;
+ * grooms: the frames are the grooms themselves. */
+typedef struct {
+    int64_t frames;
+    const int32_t *groom;
+    bool grooms;
+} hg_pass_batch;
+hg_status hg_pass_add(const hg_pass *pass, hg_ctx *ctx, const hg_pass_batch *batch, int source, double scale,
+                      const double *slopes, int width);
+/* The same to [G,S,V,w] in the precision of the pass. */
+hg_status hg_pass_add_grooms(const hg_pass *pass, hg_ctx *ctx, const hg_pass_batch *batch, void *to, double scale,
+                             const double *slopes, int width);
 
 #endif
