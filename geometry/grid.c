@@ -11,6 +11,7 @@ static void choose_bits(hg_grid *grid)
     int bits = 6;
     while (bits < 24 && ((int64_t)1 << bits) < 2 * grid->n) bits++;
     for (int k = 0; k < 3; k++) grid->bits[k] = (bits + 2 - k) / 3;
+    grid->bits[3] = bits;
 }
 
 static hg_status reserve(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *args, grid_scan_args *scan)

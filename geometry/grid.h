@@ -14,8 +14,8 @@
  *             ... places first .. last - 1; positions ((const float *)grid.x)[place] and so on
  *         }
  *
- * start [frames * cells + 2]: first place of each cell, then of what is not finite, then the end. vertex, x, y, z by
- * place; place, cell by point. */
+ * bits: of the number of cells along x, y, z, and of a whole frame. start [frames * cells + 2]: first place of each cell,
+ * then of what is not finite, then the end. vertex, x, y, z by place; place, cell by point. */
 #ifndef HG_GEOMETRY_GRID_H
 #define HG_GEOMETRY_GRID_H
 

@@ -30,7 +30,7 @@ typedef struct {
     double *to; /* [chunks], NULL: there is one, and it is added to `gradient` */
     void *gradient;
     double scale;
-    int32_t dtype; /* of the gradient */
+    int64_t dtype; /* of the gradient */
 } sum_args;
 
 HG_BODY void sum_put(const sum_args *p, int64_t chunk, double sum)
@@ -84,7 +84,7 @@ typedef struct {
     const double *from; /* [frames,width] */
     int64_t frames, width;
     const int32_t *groom; /* [frames], NULL: all 0 */
-    int32_t grooms;       /* the frames are the grooms */
+    int64_t grooms;       /* the frames are the grooms */
     void *to;             /* [grooms,width], or of strands the same shape as `from` */
     double scale;
 } groom_sums_args;

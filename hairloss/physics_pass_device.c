@@ -41,7 +41,7 @@ static hg_status sum_all(const hg_pass *pass, hg_ctx *ctx, int64_t n, const doub
                               .to = to,
                               .gradient = gradient,
                               .scale = scale,
-                              .dtype = (int32_t)pass->dtype };
+                              .dtype = pass->dtype };
     HG_TRY(hg_launch(ctx, &sum_chunks_kernel, chunks, &first));
     return hg_launch(ctx, &sum_chunks_kernel, 1, &second);
 }
