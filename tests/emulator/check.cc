@@ -42,13 +42,13 @@ const char *verb(const access &a) { return a.atomic ? "changes (atomically)" : a
 {
     const uint32_t time = with_write ? c.write_time : c.read_time;
     char who[80];
-    std::string where = a.at >= fixed_begin && a.at < fixed_end ? "shared memory" : a.at >= dynamic_begin && a.at < dynamic_end ? "dynamic shared memory, byte " + std::to_string(a.at - dynamic_begin) : describe_address(a.at);
+    std::string where = a.at >= fixed_begin && a.at < fixed_end ? "byte " + std::to_string(a.at - fixed_begin) + " of shared memory" : a.at >= dynamic_begin && a.at < dynamic_end ? "byte " + std::to_string(a.at - dynamic_begin) + " of dynamic shared memory" : describe_address(a.at);
     if (time < block_began || (!with_write && (c.several & SEVERAL_BLOCKS))) snprintf(who, sizeof who, "another block");
     else if (with_write) snprintf(who, sizeof who, "%s", thread_name(c.write_thread).c_str());
     else if (c.several) snprintf(who, sizeof who, "several warps");
     else snprintf(who, sizeof who, "%s of this block", thread_name(c.read_warp * WARP + __builtin_ctz(c.read_lanes & ~(c.read_warp == current / WARP ? 1u << current % WARP : 0u))).c_str());
     const uintptr_t other = running->what->home->begin + (with_write ? c.write_code : c.read_code);
-    stop_at(a.code, "race: it %s %zu bytes of %s, which %s %s (at %s) with no barrier between", verb(a), a.size, where.c_str(), who,
+    stop_at(a.code, "race: it %s %zu bytes at %s, which %s %s (at %s) with no barrier between", verb(a), a.size, where.c_str(), who,
             with_write ? (c.atomic ? "changed atomically" : "wrote") : "read", line_of((const void *)other).c_str());
 }
 
@@ -199,6 +199,7 @@ void check_syncwarp(int warp, unsigned mask)
 void check_touch(const void *at, size_t size, bool write) { check({ (uintptr_t)at, size, write, false, __builtin_return_address(0) }); }
 void check_atomic(const void *at, size_t size)
 {
+    if (!running->what->home->contents->checked) return;
     if ((uintptr_t)at % size) stop_at(__builtin_return_address(0), "misaligned: an atomic on %zu bytes at %p", size, at);
     check({ (uintptr_t)at, size, true, true, __builtin_return_address(0) });
 }

@@ -57,7 +57,7 @@ std::string flags()
     std::string all = "-x c++ -w -fPIC -fno-gnu-unique -fvisibility=hidden -ffp-contract=off -fno-exceptions ";
     all += coverage().empty() ? variable("EMULATOR_FLAGS", "-O1") : "-O0 --coverage -fprofile-update=single";
     if (setting("EMULATOR_CHECK"))
-        all += " -g1 -DEMULATOR_CHECKED -fsanitize=thread -fsanitize=undefined -fno-sanitize=vptr,alignment,object-size -fsanitize-undefined-trap-on-error";
+        all += " -g1 -DEMULATOR_CHECKED -fsanitize=thread -fsanitize=undefined -fno-sanitize=vptr,object-size -fsanitize-undefined-trap-on-error";
     return all;
 }
 

@@ -27,7 +27,14 @@ template <class... A, void (*F)(A...)> struct emulator_thunk<F> {
 extern "C" {
 extern char __start_emulator_shared[] __attribute__((weak, visibility("hidden")));
 extern char __stop_emulator_shared[] __attribute__((weak, visibility("hidden")));
-__attribute__((visibility("default"), used)) emulator_module emulator_this_module = { &emulator, nullptr, __start_emulator_shared, __stop_emulator_shared };
+__attribute__((visibility("default"), used)) emulator_module emulator_this_module = {
+    &emulator, nullptr, __start_emulator_shared, __stop_emulator_shared,
+#ifdef EMULATOR_CHECKED
+    true
+#else
+    false
+#endif
+};
 }
 
 #define HG_KERNEL_EXPORT(name_)                                                                                                  \
@@ -69,7 +76,7 @@ __attribute__((visibility("default"), used)) emulator_module emulator_this_modul
 #define __syncthreads_count(p_)    emulator->barrier(EMULATOR_SITE("__syncthreads_count"), EMULATOR_COUNT, !!(p_))
 #define __syncthreads_and(p_)      emulator->barrier(EMULATOR_SITE("__syncthreads_and"), EMULATOR_AND, !!(p_))
 #define __syncthreads_or(p_)       emulator->barrier(EMULATOR_SITE("__syncthreads_or"), EMULATOR_OR, !!(p_))
-#define __syncwarp(...)            emulator_sync(EMULATOR_SITE("__syncwarp"), ##__VA_ARGS__)
+#define __syncwarp                 emulator_warp{ EMULATOR_SITE("__syncwarp") } /* (mask), or () for all lanes */
 #define __shfl_sync(mask_, ...)      emulator_shuffle(EMULATOR_SITE("__shfl_sync"), EMULATOR_SHUFFLE, mask_, __VA_ARGS__)
 #define __shfl_down_sync(mask_, ...) emulator_shuffle(EMULATOR_SITE("__shfl_down_sync"), EMULATOR_DOWN, mask_, __VA_ARGS__)
 #define __shfl_up_sync(mask_, ...)   emulator_shuffle(EMULATOR_SITE("__shfl_up_sync"), EMULATOR_UP, mask_, __VA_ARGS__)
@@ -103,7 +110,10 @@ template <class T> static inline T emulator_reduce(const emulator_site *site, un
     static_assert(std::is_integral_v<T> && sizeof(T) == 4, "int and unsigned are reduced by a warp");
     return (T)emulator->exchange(site, mask, (uint64_t)(unsigned)value, std::is_signed_v<T> ? kind : unsigned_kind, 0, 32);
 }
-static inline void emulator_sync(const emulator_site *site, unsigned mask = 0xffffffffu) { emulator->exchange(site, mask, 0, EMULATOR_SYNC, 0, 32); }
+struct emulator_warp {
+    const emulator_site *site;
+    void operator()(unsigned mask = 0xffffffffu) const { emulator->exchange(site, mask, 0, EMULATOR_SYNC, 0, 32); }
+};
 
 /* ---- memory ---- */
 

@@ -67,16 +67,16 @@ bool uploads_from(const operation &o, uintptr_t at, size_t bytes)
     return o.is == operation::UPLOAD && !o.staged && o.from < at + bytes && at < o.from + o.bytes;
 }
 
-/* What will be written some time: whoever reads it before it was waited for is to see it. */
-void spoil_destination(const operation &o)
+/* What will be written some time: whoever reads it before it was waited for is to see it. Not what is still to be uploaded. */
+void spoil_destination(const operation &o, const operation &whole)
 {
     if (o.is == operation::GRAPH)
-        for (const operation &part : *o.graph) spoil_destination(part);
-    if (o.is != operation::DOWNLOAD || !in_pinned(o.to, o.bytes)) return;
+        for (const operation &part : *o.graph) spoil_destination(part, whole);
+    if (o.is != operation::DOWNLOAD || !in_pinned(o.to, o.bytes) || uploads_from(whole, o.to, o.bytes)) return;
     for (const auto &s : streams)
         for (const operation &w : s.second->waiting)
             if (uploads_from(w, o.to, o.bytes)) return;
-    if (!uploads_from(o, o.to, o.bytes)) memset((void *)o.to, 0xff, o.bytes);
+    memset((void *)o.to, 0xff, o.bytes);
 }
 } // namespace
 
@@ -139,7 +139,7 @@ int enqueue(void *handle, operation &&o)
         for (auto &other : streams)
             if (!other.second->non_blocking) drain(*other.second, UINT64_MAX);
     }
-    spoil_destination(o);
+    spoil_destination(o, o);
     s->staged += o.data.size();
     s->waiting.push_back(std::move(o));
     if (!handle || setting("CUDA_LAUNCH_BLOCKING") || s->waiting.size() > MOST_WAITING || s->staged > MOST_STAGED) drain(*s, UINT64_MAX);

@@ -41,6 +41,7 @@ struct emulator_module { /* what the driver looks for in the image */
     emulator_state **state;
     emulator_kernel *kernels;
     char *shared_begin, *shared_end;
+    bool checked; /* each access is announced */
 };
 
 #endif
