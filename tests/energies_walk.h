@@ -41,13 +41,15 @@ static inline void each_variant(void (*what)(const variant *v, void *self), void
     }
 }
 
-static inline hg_ctx *make_context(int threads)
+static inline hg_ctx *make_context_on(const char *device, int threads)
 {
     hg_ctx *ctx;
-    const hg_ctx_options options = { .threads = threads, .seed = 1, .device = test_device() };
+    const hg_ctx_options options = { .threads = threads, .seed = 1, .device = device };
     if (hg_ctx_create(&ctx, &options) != HG_OK) fail_msg("%s", hg_message());
     return ctx;
 }
+
+static inline hg_ctx *make_context(int threads) { return make_context_on(test_device(), threads); }
 
 static inline void ok(hg_status status, const char *label)
 {
@@ -87,10 +89,11 @@ typedef struct {
     double *energy, *gradient, *per_strand; /* [n], [B,S,V,3], [B,S,n] */
 } result;
 
-static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const hg_term *terms, int n,
-                              hg_backend backend, bool give_posed, const char *label, bool *available)
+static inline result evaluate_on(const char *device, const scene *s, hg_dtype dtype, int threads, const hg_term *terms,
+                                 int n, hg_backend backend, bool give_posed, const char *label, bool *available)
 {
-    hg_ctx *ctx = make_context(threads);
+    hg_ctx *ctx = make_context_on(device, threads);
+    if (!hg_ctx_host(ctx)) backend = HG_BACKEND_AUTO; /* there is one */
     hg_physics *physics;
     result r = { numbers(n), numbers(s->B * s->S * s->V * 3), numbers(s->B * s->S * n) };
     ok(hg_physics_create(&physics, ctx, dtype, terms, n, &s->data), label);
@@ -110,6 +113,12 @@ static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const
     hg_physics_destroy(physics);
     hg_ctx_destroy(ctx);
     return r;
+}
+
+static inline result evaluate(const scene *s, hg_dtype dtype, int threads, const hg_term *terms, int n,
+                              hg_backend backend, bool give_posed, const char *label, bool *available)
+{
+    return evaluate_on(test_device(), s, dtype, threads, terms, n, backend, give_posed, label, available);
 }
 
 static inline void result_free(result *r)

@@ -11,7 +11,10 @@ static double energy_at(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame,
                         const double *direction, double step)
 {
     double energy;
-    for (int64_t i = 0; i < hg_tensor_count(x); i++) ((double *)x->data)[i] = from[i] + step * direction[i];
+    double *moved = numbers(hg_tensor_count(x));
+    for (int64_t i = 0; i < hg_tensor_count(x); i++) moved[i] = from[i] + step * direction[i];
+    ok(hg_tensor_write(x, moved), "evaluate");
+    hg_free(moved);
     ok(hg_physics_evaluate(physics, ctx, frame, x, &energy, NULL, NULL), "evaluate");
     return energy;
 }

@@ -1,0 +1,78 @@
+/* The strand energies on a device against the interpreter on the processor: every window energy with every choice of its
+ * options, in both precisions, for strands of one vertex up to more than a warp has lanes, and the usual sums; and the same
+ * bits whatever the order of an emulated device's threads. On the processor the best kernel takes the device's part. */
+#include "energies_walk.h"
+#include "test.h"
+
+#include "energies_own.h" /* its short names come last */
+
+enum { B = 2, S = 11, ORDERS = 3 };
+
+static void agree(hg_dtype dtype, const hg_term *terms, int n, int64_t V, const char *label)
+{
+    scene s;
+    scene_make(&s, 2, B, S, V, 0.3);
+    result expected = evaluate_on("cpu", &s, dtype, 1, terms, n, HG_BACKEND_INTERPRETER, false, label, NULL);
+    result exact = evaluate_on("cpu", &s, HG_F64, 1, terms, n, HG_BACKEND_INTERPRETER, false, label, NULL),
+           first = { 0 };
+    /* in f32 against f64, and as close as the interpreter where that is less close */
+    const double own = difference(exact.gradient, expected.gradient, B * S * V * 3);
+    const double limit = dtype == HG_F64 ? 1e-12 : fmax(1e-5, 2 * own);
+    for (int order = 0; order < ORDERS; order++) {
+        const char text[2] = { (char)('0' + order), 0 };
+        setenv("EMULATOR_ORDER", text, 1);
+        result got = evaluate(&s, dtype, 1, terms, n, HG_BACKEND_AUTO, false, label, NULL);
+        const double gradient = difference(exact.gradient, got.gradient, B * S * V * 3),
+                     strands = difference(exact.per_strand, got.per_strand, B * S * n),
+                     sums = difference(exact.energy, got.energy, n);
+        if (!(gradient < limit && strands < limit && sums < limit))
+            fail_msg("%s %s, V %d, order %d: gradient off by %.3e, energies of strands by %.3e, sums by %.3e", label,
+                     hg_dtype_name(dtype), (int)V, order, gradient, strands, sums);
+        if (order == 0) {
+            first = got;
+            continue;
+        }
+        assert_memory_equal(first.gradient, got.gradient, (size_t)(B * S * V * 3) * sizeof(double));
+        assert_memory_equal(first.per_strand, got.per_strand, (size_t)(B * S * n) * sizeof(double));
+        assert_memory_equal(first.energy, got.energy, (size_t)n * sizeof(double));
+        result_free(&got);
+    }
+    unsetenv("EMULATOR_ORDER");
+    result_free(&first);
+    result_free(&expected);
+    result_free(&exact);
+    scene_free(&s);
+}
+
+static void check_variant(const variant *v, void *self)
+{
+    if (v->term.energy->site.kind != HG_SITE_WINDOW) return;
+    const hg_dtype dtype = *(const hg_dtype *)self;
+    static const int64_t lengths[] = { 1, 2, 3, 4, 37 };
+    for (size_t i = 0; i < sizeof lengths / sizeof *lengths; i++) agree(dtype, &v->term, 1, lengths[i], v->label);
+}
+
+static void test_each(void **state)
+{
+    (void)state;
+    each_variant(check_variant, &(hg_dtype){ HG_F64 });
+    each_variant(check_variant, &(hg_dtype){ HG_F32 });
+}
+
+static void test_sums(void **state)
+{
+    (void)state;
+    for (int sum = 0; sum < USUAL_SUMS; sum++) {
+        hg_term terms[USUAL_TERMS];
+        char label[32];
+        const int n = usual_terms(sum, terms);
+        snprintf(label, sizeof label, "sum %d", sum);
+        agree(sum % 2 ? HG_F64 : HG_F32, terms, n, 25, label);
+    }
+}
+
+int main(void)
+{
+    const struct CMUnitTest tests[] = { cmocka_unit_test(test_each), cmocka_unit_test(test_sums) };
+    return cmocka_run_group_tests(tests, NULL, NULL);
+}
