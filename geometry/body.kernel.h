@@ -21,14 +21,20 @@ typedef struct {
 } hg_body_query;
 
 #ifdef HG_CUDA
-#define HG_BODY_TIES             8                /* more than this many tied triangles take a second search */
-#define HG_BODY_FRAME(i_, size_) ((i_) / (size_)) /* all frames in one launch */
+#define HG_BODY_TIES             8                         /* more than this many tied triangles take a second search */
+#define HG_BODY_FRAME(i_, size_) frame_of_index(i_, size_) /* all frames in one launch */
 #else
 #define HG_BODY_TIES             32
 #define HG_BODY_FRAME(i_, size_) 0 /* a launch for each frame */
 #endif
 #define HG_BODY_JUMP     0.03 /* m: points that follow each other farther apart are of different strands */
 #define HG_BODY_INFINITY ((hg_real)3e38)
+
+HG_BODY int64_t frame_of_index(int64_t i, int64_t size)
+{
+    int64_t rest;
+    return hg_divide(i, size, &rest);
+}
 
 HG_BODY hg_vec3d widen_f64(hg_vec3d a) { return a; }
 HG_BODY hg_vec3d narrow_f64(hg_vec3d a) { return a; }

@@ -1,6 +1,7 @@
 /* Posing: shaped rest vertices, joints that follow the shape, linear blend skinning (Magnenat-Thalmann et al. 1988), and
  * the rigid frames of strand roots. */
 #include "scene/internal.h"
+#include "scene/pose.kernel.h"
 
 #include <string.h>
 
@@ -23,6 +24,8 @@ struct hg_poser {
     hg_vec3d *position;      /* [J] */
     float *transform;        /* [J,12] rows of (R | position - R joint) */
     double shape[HG_SHAPES]; /* of rest and joint */
+    /* for hg_pose_bodies, made at its first call: floats [3 + 3 HG_SHAPES + HG_INFLUENCES,N], influences [HG_INFLUENCES,N] */
+    hg_tensor *floats, *indices;
 };
 
 void hg_poser_destroy(hg_poser *poser)
@@ -41,6 +44,8 @@ void hg_poser_destroy(hg_poser *poser)
     hg_free(poser->rotation);
     hg_free(poser->position);
     hg_free(poser->transform);
+    hg_tensor_destroy(poser->floats);
+    hg_tensor_destroy(poser->indices);
     hg_free(poser);
 }
 
@@ -169,18 +174,16 @@ static const hg_kernel skin_kernel = {
     .name = "skin vertices", .args_size = sizeof(pose_args), .cpu = skin_vertices, .block = BLOCK_VERTICES
 };
 
-static hg_status pose_shape(hg_ctx *ctx, hg_poser *poser, const double *shape)
+/* The joints of a shape, and the shape as floats. */
+static hg_status shape_joints(hg_poser *poser, const double *shape, float out[HG_SHAPES])
 {
-    static const double neutral[HG_SHAPES];
     const hg_body *body = poser->body;
-    if (!shape) shape = neutral;
-    if (memcmp(poser->shape, shape, sizeof poser->shape) == 0) return HG_OK;
-    pose_args args = { .poser = poser, .out = poser->rest };
+    poser->shape[0] = NAN; /* rest is not of this shape */
     for (int k = 0; k < HG_SHAPES; k++) {
         if (!isfinite(shape[k]) || fabs(shape[k]) > 100)
             return hg_fail(HG_INVALID, "shape %d (%s) is %g: shapes are numbers of about -1 to 1", k,
                            body->shape_name[k], shape[k]);
-        args.shape[k] = (float)shape[k];
+        out[k] = (float)shape[k];
     }
     for (int64_t j = 0; j < body->joints; j++) {
         poser->joint[j] = scene_point(body->joint + 3 * j);
@@ -189,7 +192,17 @@ static hg_status pose_shape(hg_ctx *ctx, hg_poser *poser, const double *shape)
             poser->joint[j] = hg_vec3d_add_scaled(poser->joint[j], shape[k], way);
         }
     }
-    poser->shape[0] = NAN;
+    return HG_OK;
+}
+
+static const double neutral[HG_SHAPES];
+
+static hg_status pose_shape(hg_ctx *ctx, hg_poser *poser, const double *shape)
+{
+    if (!shape) shape = neutral;
+    if (memcmp(poser->shape, shape, sizeof poser->shape) == 0) return HG_OK;
+    pose_args args = { .poser = poser, .out = poser->rest };
+    HG_TRY(shape_joints(poser, shape, args.shape));
     HG_TRY(hg_launch(ctx, &shape_kernel, poser->vertices, &args));
     memcpy(poser->shape, shape, sizeof poser->shape);
     return HG_OK;
@@ -223,29 +236,104 @@ static void pose_joints(hg_poser *poser, const float *rotation, const float *tra
     }
 }
 
+/* What a clip has at a frame, clamped; NULL: at rest. */
+static hg_status find_frame(const hg_poser *poser, const hg_motion *motion, int64_t frame, const float **rotation,
+                            const float **translation)
+{
+    const int64_t joints = poser->body->joints;
+    *rotation = *translation = NULL;
+    if (!motion) return HG_OK;
+    if (motion->joints != joints)
+        return hg_fail(HG_INVALID, "the motion %s has %lld joints, the body %lld: import it for this body",
+                       motion->name ? motion->name : "", (long long)motion->joints, (long long)joints);
+    if (frame >= motion->frames) frame = motion->frames - 1;
+    if (frame < 0) frame = 0;
+    *rotation = motion->rotation + 4 * joints * frame, *translation = motion->translation + 3 * frame;
+    return HG_OK;
+}
+
 hg_status hg_pose(hg_ctx *ctx, hg_poser *poser, const double *shape, const hg_motion *motion, int64_t frame,
                   float *vertices, float *joint_position, float *joint_rotation)
 {
-    int64_t joints = poser->body->joints;
-    const float *rotation = NULL, *translation = NULL;
+    const float *rotation, *translation;
     if (!(ctx = hg_ctx_on_host(ctx))) return HG_MEMORY;
-    if (motion) {
-        if (motion->joints != joints)
-            return hg_fail(HG_INVALID, "the motion %s has %lld joints, the body %lld: import it for this body",
-                           motion->name ? motion->name : "", (long long)motion->joints, (long long)joints);
-        if (frame >= motion->frames) frame = motion->frames - 1;
-        if (frame < 0) frame = 0;
-        rotation = motion->rotation + 4 * joints * frame, translation = motion->translation + 3 * frame;
-    }
+    HG_TRY(find_frame(poser, motion, frame, &rotation, &translation));
     HG_TRY(pose_shape(ctx, poser, shape));
     pose_joints(poser, rotation, translation);
     pose_args args = { .poser = poser, .out = vertices };
     HG_TRY(hg_launch(ctx, &skin_kernel, poser->vertices, &args));
-    for (int64_t j = 0; j < joints; j++) {
+    for (int64_t j = 0; j < poser->body->joints; j++) {
         if (joint_position) scene_put(joint_position + 3 * j, poser->position[j]);
         if (joint_rotation) hg_quatf_store(joint_rotation + 4 * j, hg_quatf_from_d(poser->rotation[j]));
     }
     return HG_OK;
+}
+
+/* ---- many bodies on a device ---------------------------------------------------------------------------------- */
+
+hg_status hg_pose_joints(hg_poser *poser, const double *shape, const hg_motion *motion, int64_t frame,
+                         float shapes[HG_SHAPES], float *transform)
+{
+    const float *rotation, *translation;
+    HG_TRY(find_frame(poser, motion, frame, &rotation, &translation));
+    HG_TRY(shape_joints(poser, shape ? shape : neutral, shapes));
+    pose_joints(poser, rotation, translation);
+    memcpy(transform, poser->transform, (size_t)poser->body->joints * 12 * sizeof *transform);
+    return HG_OK;
+}
+
+static hg_status upload_poser(hg_ctx *ctx, hg_poser *poser)
+{
+    enum { ROWS = 3 + 3 * HG_SHAPES + HG_INFLUENCES };
+    const int64_t n = poser->vertices;
+    float *floats = hg_alloc((size_t)n + 1, ROWS * sizeof *floats);
+    int32_t *indices = hg_alloc((size_t)n + 1, HG_INFLUENCES * sizeof *indices);
+    for (int64_t v = 0; floats && indices && v < n; v++) {
+        for (int c = 0; c < 3; c++) floats[c * n + v] = poser->points[3 * v + c];
+        for (int k = 0; k < 3 * HG_SHAPES; k++) floats[(3 + k) * n + v] = poser->shapes[3 * HG_SHAPES * v + k];
+        for (int k = 0; k < HG_INFLUENCES; k++) {
+            floats[(3 + 3 * HG_SHAPES + k) * n + v] =
+                k < poser->influences[v] ? poser->weight[HG_INFLUENCES * v + k] : 0;
+            indices[k * n + v] = poser->influence[HG_INFLUENCES * v + k];
+        }
+    }
+    hg_status status = floats && indices ? HG_OK : HG_MEMORY;
+    if (status == HG_OK) {
+        poser->floats = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ ROWS, n });
+        poser->indices = hg_tensor_create(ctx, HG_I32, 2, (int64_t[]){ HG_INFLUENCES, n });
+        status = poser->floats && poser->indices ? HG_OK : hg_ctx_status(ctx);
+    }
+    if (status == HG_OK) status = hg_tensor_write(poser->floats, floats);
+    if (status == HG_OK) status = hg_tensor_write(poser->indices, indices);
+    hg_free(floats);
+    hg_free(indices);
+    return status;
+}
+
+hg_tensor *hg_pose_bodies(hg_ctx *ctx, hg_poser *poser, const hg_tensor *shape, const hg_tensor *transform)
+{
+    if (!shape || !transform) return NULL;
+    if (!poser->indices && upload_poser(ctx, poser) != HG_OK) return NULL;
+    const int64_t n = poser->vertices, poses = transform->shape[0];
+    if (transform->shape[1] != poser->body->joints || shape->shape[0] != poses || shape->shape[1] != HG_SHAPES) {
+        char a[96], b[96];
+        hg_ctx_fail(ctx, HG_INVALID, "bodies: shapes %s and transforms %s; [P,%d] and [P,%lld,12] are expected",
+                    hg_shape_text(shape, a), hg_shape_text(transform, b), HG_SHAPES, (long long)poser->body->joints);
+        return NULL;
+    }
+    hg_tensor *out = hg_tensor_make(ctx, HG_F32, 3, (int64_t[]){ poses, n, 3 });
+    if (!out) return NULL;
+    const float *floats = poser->floats->data;
+    const pose_bodies_args args = { .vertices = n,
+                                    .joints = poser->body->joints,
+                                    .points = floats,
+                                    .shapes = floats + 3 * n,
+                                    .influence = poser->indices->data,
+                                    .weight = floats + (3 + 3 * HG_SHAPES) * n,
+                                    .shape = shape->data,
+                                    .transform = transform->data,
+                                    .out = out->data };
+    return hg_launch(ctx, &pose_bodies_kernel, poses * n, &args) == HG_OK ? out : NULL;
 }
 
 /* ---- roots -------------------------------------------------------------------------------------------------- */
@@ -258,17 +346,6 @@ typedef struct {
     float *rotation, *position;
 } root_args;
 
-/* Its columns: edge 0 -> 1, normal x edge, normal. False when the triangle has no area to speak of. */
-static bool triangle_frame(const hg_vec3d corner[3], hg_quatd *frame)
-{
-    hg_vec3d edge = hg_vec3d_sub(corner[1], corner[0]), other = hg_vec3d_sub(corner[2], corner[0]);
-    hg_vec3d normal = hg_vec3d_cross(edge, other);
-    if (!(hg_vec3d_norm(normal) > 1e-6 * (hg_vec3d_norm2(edge) + hg_vec3d_norm2(other)))) return false;
-    normal = hg_vec3d_normalize(normal), edge = hg_vec3d_normalize(edge);
-    *frame = hg_quatd_from_columns(edge, hg_vec3d_cross(normal, edge), normal);
-    return true;
-}
-
 static void pose_root(const void *args, int64_t first, int64_t last)
 {
     const root_args *a = args;
@@ -276,17 +353,12 @@ static void pose_root(const void *args, int64_t first, int64_t last)
     for (int64_t i = first; i < last; i++) {
         int64_t s = a->strand ? a->strand[i] : i;
         const int32_t *triangle = poser->body->triangles + 3 * (int64_t)a->groom->root_face[s];
-        hg_vec3d rest[3], posed[3], at = { 0 };
-        hg_quatd from, to, turn = hg_quatd_identity();
+        hg_vec3d rest[3], posed[3];
         for (int c = 0; c < 3; c++) {
             rest[c] = scene_point(poser->body->points + 3 * (int64_t)triangle[c]);
             posed[c] = scene_point(a->vertices + 3 * (int64_t)poser->kept[triangle[c]]);
-            at = hg_vec3d_add_scaled(at, (double)a->groom->root_bary[3 * s + c], posed[c]);
         }
-        if (triangle_frame(rest, &from) && triangle_frame(posed, &to)) turn = hg_quatd_mul(to, hg_quatd_conj(from));
-        if (turn.w < 0) turn = hg_quatd_neg(turn);
-        hg_quatf_store(a->rotation + 4 * i, hg_quatf_from_d(turn));
-        scene_put(a->position + 3 * i, at);
+        pose_root_on(rest, posed, a->groom->root_bary + 3 * s, a->rotation + 4 * i, a->position + 3 * i);
     }
 }
 
@@ -294,10 +366,8 @@ static const hg_kernel root_kernel = {
     .name = "pose roots", .args_size = sizeof(root_args), .cpu = pose_root, .block = BLOCK_STRANDS
 };
 
-hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groom, const int32_t *strand, int64_t n,
-                        const float *vertices, float *rotation, float *position)
+static hg_status check_roots(const hg_poser *poser, const hg_groom *groom, const int32_t *strand, int64_t n)
 {
-    if (!strand) n = groom->strands;
     for (int64_t i = 0; i < n; i++) {
         int64_t s = strand ? strand[i] : i;
         if (s < 0 || s >= groom->strands)
@@ -312,8 +382,103 @@ hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groo
                 return hg_fail(HG_INVALID, "strand %lld has its root on face %lld, which is not of the scalp",
                                (long long)s, (long long)face);
     }
+    return HG_OK;
+}
+
+hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groom, const int32_t *strand, int64_t n,
+                        const float *vertices, float *rotation, float *position)
+{
+    if (!strand) n = groom->strands;
+    HG_TRY(check_roots(poser, groom, strand, n));
+    if (!(ctx = hg_ctx_on_host(ctx))) return HG_MEMORY;
     root_args args = { poser, groom, strand, vertices, rotation, position };
-    return !(ctx = hg_ctx_on_host(ctx)) ? HG_MEMORY : hg_launch(ctx, &root_kernel, n, &args);
+    return hg_launch(ctx, &root_kernel, n, &args);
+}
+
+/* ---- roots on a device ---------------------------------------------------------------------------------------- */
+
+struct hg_roots {
+    int64_t strands, vertices;       /* of each groom; of the body */
+    hg_tensor *corner, *rest, *bary; /* [G,S,3], [G,S,3,3], [G,S,3] */
+};
+
+void hg_roots_destroy(hg_roots *roots)
+{
+    if (!roots) return;
+    hg_tensor_destroy(roots->corner);
+    hg_tensor_destroy(roots->rest);
+    hg_tensor_destroy(roots->bary);
+    hg_free(roots);
+}
+
+static void gather_root(const hg_poser *poser, const hg_groom *groom, int64_t s, int32_t *corner, float *rest,
+                        float *bary)
+{
+    const int32_t *triangle = poser->body->triangles + 3 * (int64_t)groom->root_face[s];
+    for (int c = 0; c < 3; c++) {
+        corner[c] = poser->kept[triangle[c]];
+        memcpy(rest + 3 * c, poser->body->points + 3 * (int64_t)triangle[c], 3 * sizeof *rest);
+    }
+    memcpy(bary, groom->root_bary + 3 * s, 3 * sizeof *bary);
+}
+
+hg_status hg_roots_create(hg_roots **out, hg_ctx *ctx, const hg_poser *poser, int grooms, const hg_groom *const *groom,
+                          int64_t n, const int32_t *strand)
+{
+    *out = NULL;
+    for (int g = 0; g < grooms; g++) HG_TRY(check_roots(poser, groom[g], strand + g * n, n));
+    const int64_t all = grooms * n;
+    hg_roots *roots = hg_alloc(1, sizeof *roots);
+    int32_t *corner = hg_alloc((size_t)all + 1, 3 * sizeof *corner);
+    float *rest = hg_alloc((size_t)all + 1, 9 * sizeof *rest), *bary = hg_alloc((size_t)all + 1, 3 * sizeof *bary);
+    hg_status status = roots && corner && rest && bary ? HG_OK : HG_MEMORY;
+    if (status == HG_OK) {
+        roots->strands = n;
+        roots->vertices = poser->vertices;
+        for (int64_t i = 0; i < all; i++)
+            gather_root(poser, groom[i / n], strand[i], corner + 3 * i, rest + 9 * i, bary + 3 * i);
+        roots->corner = hg_tensor_create(ctx, HG_I32, 3, (int64_t[]){ grooms, n, 3 });
+        roots->rest = hg_tensor_create(ctx, HG_F32, 4, (int64_t[]){ grooms, n, 3, 3 });
+        roots->bary = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ grooms, n, 3 });
+        status = roots->corner && roots->rest && roots->bary ? HG_OK : hg_ctx_status(ctx);
+    }
+    if (status == HG_OK) status = hg_tensor_write(roots->corner, corner);
+    if (status == HG_OK) status = hg_tensor_write(roots->rest, rest);
+    if (status == HG_OK) status = hg_tensor_write(roots->bary, bary);
+    hg_free(corner);
+    hg_free(rest);
+    hg_free(bary);
+    if (status == HG_OK)
+        *out = roots;
+    else
+        hg_roots_destroy(roots);
+    return status;
+}
+
+hg_status hg_roots_pose(hg_ctx *ctx, const hg_roots *roots, const hg_tensor *groom, const hg_tensor *vertices,
+                        hg_tensor **rotation, hg_tensor **position)
+{
+    if (!vertices) return hg_ctx_status(ctx);
+    const int64_t poses = vertices->shape[0], n = roots->strands;
+    char text[96];
+    if (vertices->shape[1] != roots->vertices || (groom && poses % hg_tensor_count(groom) != 0))
+        return hg_ctx_fail(ctx, HG_INVALID,
+                           "roots on %s: bodies of %lld vertices are expected, and as many grooms or a part of them",
+                           hg_shape_text(vertices, text), (long long)roots->vertices);
+    *rotation = hg_tensor_make(ctx, HG_F32, 3, (int64_t[]){ poses, n, 4 });
+    *position = hg_tensor_make(ctx, HG_F32, 3, (int64_t[]){ poses, n, 3 });
+    if (!*rotation || !*position) return hg_ctx_status(ctx);
+    const pose_roots_args args = { .strands = n,
+                                   .vertices = roots->vertices,
+                                   .corner = roots->corner->data,
+                                   .rest = roots->rest->data,
+                                   .bary = roots->bary->data,
+                                   .grooms = groom ? hg_tensor_count(groom) : 1,
+                                   .groom = groom ? groom->data : NULL,
+                                   .posed = vertices->data,
+                                   .rotation = (*rotation)->data,
+                                   .position = (*position)->data };
+    return hg_launch(ctx, &pose_roots_kernel, poses * n, &args);
 }
 
 /* ---- strands ------------------------------------------------------------------------------------------------ */

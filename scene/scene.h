@@ -131,6 +131,15 @@ hg_status hg_pose(hg_ctx *ctx, hg_poser *poser, const double *shape, const hg_mo
  * normal). strand NULL: all of the groom. rotation [n,4], position [n,3]. A degenerate triangle gives the identity. */
 hg_status hg_pose_roots(hg_ctx *ctx, const hg_poser *poser, const hg_groom *groom, const int32_t *strand, int64_t n,
                         const float *vertices, float *rotation, float *position);
+/* The same for many poses at once on a context's device. The host works out what moves the body, which is little: the shape as
+ * floats, and for each joint the rows of (R | what is added) that move a shaped rest point. From these tensors bodies [P,N,3]
+ * and roots [P,S,..] are made, of the step; N are the poser's vertices. Equal to hg_pose and hg_pose_roots but for rounding. */
+hg_status  hg_pose_joints(hg_poser *poser, const double *shape, const hg_motion *motion, int64_t frame, float shapes[HG_SHAPES], float *transform /* [J,12] */);
+hg_tensor *hg_pose_bodies(hg_ctx *ctx, hg_poser *poser, const hg_tensor *shape /* [P,HG_SHAPES] */, const hg_tensor *transform /* [P,J,12] */);
+typedef struct hg_roots hg_roots;     /* the roots of as many strands of each of G grooms, on a device; destroyed before its context */
+hg_status  hg_roots_create(hg_roots **roots, hg_ctx *ctx, const hg_poser *poser, int grooms, const hg_groom *const *groom, int64_t n, const int32_t *strand /* [G,n] */);
+void       hg_roots_destroy(hg_roots *roots);
+hg_status  hg_roots_pose(hg_ctx *ctx, const hg_roots *roots, const hg_tensor *groom /* [P] or a part of it that is repeated, i32 of 0 .. G-1; NULL: 0 */, const hg_tensor *vertices, hg_tensor **rotation, hg_tensor **position);
 /* x = p + R (rest - rest_root) */
 void hg_pose_strands(hg_ctx *ctx, int64_t strands, int64_t vertices, const float *rest, const float *rotation, const float *position, float *x);
 

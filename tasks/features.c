@@ -370,8 +370,9 @@ hg_status hg_hair_features_tensors(hg_hair_task *task)
     if (!task->mean_tensor || !task->inverse_deviation) return HG_MEMORY;
     task->mean_tensor->name = "feature_mean";
     task->inverse_deviation->name = "feature_inverse_deviation";
-    float *mean = hg_alloc((size_t)n * 2 + 1, sizeof *mean), *inverse = mean + n;
+    float *mean = hg_alloc((size_t)n * 2 + 1, sizeof *mean);
     if (!mean) return HG_MEMORY;
+    float *inverse = mean + n;
     for (int64_t i = 0; i < n; i++) {
         mean[i] = (float)task->mean[i];
         inverse[i] = (float)(1 / task->deviation[i]);

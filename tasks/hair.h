@@ -88,6 +88,8 @@ typedef struct {
     hg_tensor *features; /* [G n,strand_inputs] f32, normalised */
     double *lengths;     /* [G n,V-1] rest edges */
     double *mass;        /* [G n] of a strand [kg] */
+    hg_tensor *weigh;    /* the same, where the task computes */
+    hg_roots *roots;     /* there, when that is not the host */
     hg_physics *physics;
 } hg_hair_subset;
 
@@ -118,15 +120,21 @@ typedef struct {
 
 /* ---- batch -------------------------------------------------------------------------------------------------- */
 
-/* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. */
+/* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. Bodies and roots are
+ * posed when the batch is made where the task computes on the host; another device poses them in the step, from what moves the
+ * body. */
 typedef struct {
     int64_t frames, strands, body_vertices;
     int32_t *groom;   /* [B] of the subset's; frames of one groom stand together */
     float *inputs;    /* [3,B,frame_inputs] normalised */
-    float *rotation;  /* [3,B,S,4] */
-    float *position;  /* [3,B,S,3] */
-    float *body;      /* [B,N,3] at t */
     double *material; /* [B,materials] */
+    /* host: */
+    float *rotation; /* [3,B,S,4] */
+    float *position; /* [3,B,S,3] */
+    float *body;     /* [B,N,3] at t */
+    /* another device: */
+    float *shape;     /* [3,B,HG_SHAPES] */
+    float *transform; /* [3,B,J,12] */
 } hg_hair_batch;
 
 /* ---- task --------------------------------------------------------------------------------------------------- */

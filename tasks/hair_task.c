@@ -1,6 +1,7 @@
 /* hair_task: a Neuralocks training run from one config: what is made once, the loss of a step, the validation, and
  * what a checkpoint adds. See docs/neuralocks.md for the features. */
 #include "tasks/hair.h"
+#include "tasks/root_gravity.kernel.h"
 
 #include <errno.h>
 #include <math.h>
@@ -143,28 +144,11 @@ hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *pa
 
 /* ---- loss --------------------------------------------------------------------------------------------------- */
 
-/* Of strand k of a batch's [B,S]. */
-static double mass_of(const hg_hair_batch *batch, const hg_hair_subset *subset, int64_t k)
-{
-    return subset->mass[batch->groom[k / batch->strands] * batch->strands + k % batch->strands];
-}
-
-/* Gravity of every strand if it were a point at its root: counted from there, the loss says how the hair hangs and not how
- * high the person stands. A constant for the network, [J]. */
-static double root_gravity(const hg_term *gravity, const hg_hair_batch *batch, const hg_hair_subset *subset)
-{
-    double energy = 0;
-    const float *position = batch->position + 2 * batch->frames * batch->strands * 3;
-    for (int64_t k = 0; k < batch->frames * batch->strands; k++)
-        for (int c = 0; c < 3; c++)
-            energy -= mass_of(batch, subset, k) * gravity->params[c] * (double)position[3 * k + c];
-    return energy;
-}
-
 /* The loss from the energy of a batch: over strands and the reference, and without the gravity of the roots, which is another
  * number in every step and therefore a tensor. */
 static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
-                             const hg_hair_subset *subset, hg_tensor *energy, hg_tensor **unweighted)
+                             const hg_hair_subset *subset, const hg_tensor *position, hg_tensor *energy,
+                             hg_tensor **unweighted)
 {
     const double scale = 1 / ((double)(batch->frames * batch->strands) * task->reference);
     hg_tensor *value = hg_scale(ctx, energy, scale, 0);
@@ -172,14 +156,23 @@ static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hai
         const hg_term *gravity = &task->terms.term[i];
         if (strcmp(gravity->energy->name, "gravity")) continue;
         const int64_t n = task->terms.n;
-        double *roots = hg_step_alloc(ctx, (size_t)n * sizeof *roots);
-        float *shift = hg_step_alloc(ctx, sizeof *shift);
-        if (!roots || !shift) return NULL;
-        for (int64_t k = 0; k < n; k++) roots[k] = 0;
-        roots[i] = root_gravity(gravity, batch, subset);
-        *shift = (float)(-scale * gravity->weight * roots[i]);
-        *unweighted = hg_sub(ctx, *unweighted, hg_tensor_from(ctx, HG_F64, 1, &n, roots));
-        return hg_add(ctx, value, hg_tensor_from(ctx, HG_F32, 0, NULL, shift));
+        hg_tensor *roots = hg_tensor_make(ctx, HG_F64, 1, &n), *shift = hg_tensor_make(ctx, HG_F32, 0, NULL);
+        const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &batch->frames, batch->groom);
+        if (!roots || !shift || !groom) return NULL;
+        const root_gravity_args args = { .frames = batch->frames,
+                                         .strands = batch->strands,
+                                         .position = position->data,
+                                         .mass = subset->weigh->data,
+                                         .groom = groom->data,
+                                         .g = { gravity->params[0], gravity->params[1], gravity->params[2] },
+                                         .terms = task->terms.n,
+                                         .term = i,
+                                         .scale = scale * gravity->weight,
+                                         .joule = roots->data,
+                                         .loss = shift->data };
+        if (hg_launch(ctx, &root_gravity_kernel, 1, &args) != HG_OK) return NULL;
+        *unweighted = hg_sub(ctx, *unweighted, roots);
+        return hg_add(ctx, value, shift);
     }
     return value;
 }
@@ -214,15 +207,39 @@ static hg_tensor *predict_rows(const hg_hair_task *task, hg_ctx *ctx, const hg_h
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
 
+/* Roots [3B,S,..] and bodies at t [B,N,3]: from the batch, or made here from what moves them. */
+static hg_status bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
+                                  const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
+                                  hg_tensor **body)
+{
+    const int64_t B = batch->frames, S = batch->strands;
+    if (!batch->transform) {
+        *rotation = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
+        *position = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
+        *body = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
+        return hg_ctx_status(ctx);
+    }
+    const hg_tensor *shape = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, HG_SHAPES }, batch->shape);
+    const hg_tensor *transform =
+        hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, task->body->joints, 12 }, batch->transform);
+    const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &B, batch->groom);
+    hg_profile_begin(ctx, "sample", "body");
+    hg_tensor *bodies = hg_pose_bodies(ctx, task->poser, shape, transform);
+    hg_profile_end(ctx, 36 * B * batch->body_vertices);
+    hg_profile_begin(ctx, "sample", "roots");
+    if (bodies && groom) HG_TRY(hg_roots_pose(ctx, subset->roots, groom, bodies, rotation, position));
+    hg_profile_end(ctx, 84 * B * S);
+    *body = hg_tensor_rows(ctx, bodies, 2 * B, B);
+    return hg_ctx_status(ctx);
+}
+
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
                           hg_hair_subset *subset, hg_tensor **unweighted)
 {
     const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
     hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
-    hg_tensor *rotation = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
-    hg_tensor *position = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
-    hg_tensor *body = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
-    if (!inputs || !rotation || !position || !body) return NULL;
+    hg_tensor *rotation, *position, *body;
+    if (!inputs || bodies_and_roots(task, ctx, batch, subset, &rotation, &position, &body) != HG_OK) return NULL;
 
     /* What belongs to the strands is the same at the three times. */
     const batch_tensors in = { model->strand_part(model->self, ctx, subset->features), inputs, rotation, position };
@@ -253,7 +270,7 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, NULL);
     if (!energy) return NULL;
     *unweighted = hg_physics_unweighted(subset->physics);
-    return from_roots(task, ctx, batch, subset, energy, unweighted);
+    return from_roots(task, ctx, batch, subset, now_position, energy, unweighted);
 }
 
 static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)

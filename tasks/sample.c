@@ -1,16 +1,33 @@
 /* sample: the batch of a step, from (seed, step) alone: which clip and frame, which body shape; the body and the roots of
- * the strands at t-2, t-1 and t. A clip starts at rest: its first frame stands for every time before it. */
+ * the strands at t-2, t-1 and t, or what moves them there. A clip starts at rest: its first frame stands for every time before it. */
 #include "tasks/hair.h"
 
 #include <math.h>
 
 enum { STREAM_FRAME = 7200, STREAM_SHAPE = 7201, STREAM_GROOM = 7202, FRAMES = 256 };
 
+/* Floats of a batch, in the order in which they are laid out. */
+enum { INPUTS, ROTATION, POSITION, BODY, SHAPE, TRANSFORM, PARTS };
+static void measure(const hg_hair_task *task, int64_t frames, int64_t strands, int64_t floats[PARTS])
+{
+    const int64_t times = 3 * frames;
+    const bool host = hg_ctx_host(task->ctx);
+    floats[INPUTS] = times * task->layout.frame_inputs;
+    floats[ROTATION] = host ? times * strands * 4 : 0;
+    floats[POSITION] = host ? times * strands * 3 : 0;
+    floats[BODY] = host ? frames * task->body_vertices * 3 : 0;
+    floats[SHAPE] = host ? 0 : times * HG_SHAPES;
+    floats[TRANSFORM] = host ? 0 : times * task->body->joints * 12;
+}
+
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands)
 {
-    const size_t floats = (size_t)(frames * (3 * (task->layout.frame_inputs + strands * 7) + task->body_vertices * 3));
-    return sizeof(hg_hair_batch) + 64 + floats * sizeof(float) +
-           (size_t)frames * (sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 6 * 64;
+    int64_t floats[PARTS];
+    size_t bytes = sizeof(hg_hair_batch) + 64 +
+                   (size_t)frames * (sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 2 * 64;
+    measure(task, frames, strands, floats);
+    for (int i = 0; i < PARTS; i++) bytes += (size_t)floats[i] * sizeof(float) + 64;
+    return bytes;
 }
 
 static float *take(char **at, int64_t floats)
@@ -24,38 +41,56 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
 {
     hg_hair_batch *batch = bytes;
     char *at = (char *)bytes + sizeof *batch;
-    batch->frames = frames;
-    batch->strands = strands;
-    batch->body_vertices = task->body_vertices;
-    batch->inputs = take(&at, 3 * frames * task->layout.frame_inputs);
-    batch->rotation = take(&at, 3 * frames * strands * 4);
-    batch->position = take(&at, 3 * frames * strands * 3);
-    batch->body = take(&at, frames * task->body_vertices * 3);
+    int64_t floats[PARTS];
+    float *part[PARTS];
+    measure(task, frames, strands, floats);
+    for (int i = 0; i < PARTS; i++) part[i] = floats[i] ? take(&at, floats[i]) : NULL;
+    *batch = (hg_hair_batch){ .frames = frames,
+                              .strands = strands,
+                              .body_vertices = task->body_vertices,
+                              .inputs = part[INPUTS],
+                              .rotation = part[ROTATION],
+                              .position = part[POSITION],
+                              .body = part[BODY],
+                              .shape = part[SHAPE],
+                              .transform = part[TRANSFORM] };
     batch->groom = (int32_t *)(void *)take(&at, frames);
     batch->material = (double *)(void *)take(&at, 2 * frames * task->n_materials);
     return batch;
+}
+
+/* The body and the roots of slot `slot`: made here, or what a device makes them from. */
+static hg_status pose_slot(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
+                           int64_t slot, int64_t b, int32_t groom, const hg_motion *motion, int64_t frame,
+                           const double *shape)
+{
+    const int64_t S = batch->strands;
+    if (frame < 0) frame = 0;
+    if (batch->transform)
+        return hg_pose_joints(task->poser, shape, motion, frame, batch->shape + slot * HG_SHAPES,
+                              batch->transform + slot * task->body->joints * 12);
+    /* The last body posed is that of t, which is the one that hair touches. */
+    float *body = slot / batch->frames == 2 ? batch->body + b * task->body_vertices * 3 : task->posed_body;
+    hg_profile_begin(ctx, "sample", "body");
+    HG_TRY(hg_pose(ctx, task->poser, shape, motion, frame, body, NULL, NULL));
+    hg_profile_end(ctx, 12 * task->body_vertices);
+    hg_profile_begin(ctx, "sample", "roots");
+    HG_TRY(hg_pose_roots(ctx, task->poser, task->styles[subset->first + groom].groom, subset->strand + groom * S, S,
+                         body, batch->rotation + slot * S * 4, batch->position + slot * S * 3));
+    hg_profile_end(ctx, 28 * S);
+    return HG_OK;
 }
 
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
                              int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material)
 {
-    const int64_t B = batch->frames, S = batch->strands;
     batch->groom[b] = groom;
     for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
-    const int inputs = task->layout.frame_inputs;
     for (int64_t time = 0; time < 3; time++) {
-        const int64_t at = frame - 2 + time, slot = time * B + b;
-        /* The last body posed is that of t, which is the one that hair touches. */
-        float *body = time == 2 ? batch->body + b * task->body_vertices * 3 : task->posed_body;
-        hg_profile_begin(ctx, "sample", "body");
-        HG_TRY(hg_pose(ctx, task->poser, shape, clip->motion, at < 0 ? 0 : at, body, NULL, NULL));
-        hg_profile_end(ctx, 12 * task->body_vertices);
-        hg_profile_begin(ctx, "sample", "roots");
-        HG_TRY(hg_pose_roots(ctx, task->poser, task->styles[subset->first + groom].groom, subset->strand + groom * S, S,
-                             body, batch->rotation + slot * S * 4, batch->position + slot * S * 3));
-        hg_profile_end(ctx, 28 * S);
-        float *out = batch->inputs + slot * inputs;
+        const int64_t at = frame - 2 + time, slot = time * batch->frames + b;
+        HG_TRY(pose_slot(task, ctx, batch, subset, slot, b, groom, clip->motion, at, shape));
+        float *out = batch->inputs + slot * task->layout.frame_inputs;
         hg_hair_track_frame(&task->layout, &clip->track, at, shape, out);
         hg_hair_material_features(task, material, out);
         hg_hair_normalise_frame(task, out, out);

@@ -110,8 +110,9 @@ static hg_status encode(hg_hair_task *task, hg_hair_style *style, int inputs)
     const int64_t n = style->groom->strands;
     const int latent = task->latent;
     const int64_t most = n < ROWS ? n : ROWS;
-    float *rows = hg_alloc((size_t)(most * (inputs + latent)), sizeof *rows), *code = rows + most * inputs;
-    hg_status status = rows ? HG_OK : HG_MEMORY;
+    float *rows = hg_alloc((size_t)(most * inputs), sizeof *rows),
+          *code = hg_alloc((size_t)(most * latent), sizeof *code);
+    hg_status status = rows && code ? HG_OK : HG_MEMORY;
     for (int64_t first = 0; status == HG_OK && first < n; first += ROWS) {
         const int64_t count = n - first < ROWS ? n - first : ROWS;
         strand_rows(style->groom, first, count, inputs, (float)task->strand_scale, rows);
@@ -127,6 +128,7 @@ static hg_status encode(hg_hair_task *task, hg_hair_style *style, int inputs)
     }
     hg_step_reset(task->ctx);
     hg_free(rows);
+    hg_free(code);
     return status;
 }
 

@@ -204,6 +204,20 @@ static hg_status make_physics(hg_hair_subset *subset, hg_hair_task *task)
     return status;
 }
 
+/* Once physics has filled the masses. */
+static hg_status place_on_device(hg_hair_subset *subset, hg_hair_task *task)
+{
+    const hg_groom **grooms = hg_alloc((size_t)subset->grooms, sizeof *grooms);
+    subset->weigh = hg_tensor_create(task->ctx, HG_F64, 2, (int64_t[]){ subset->grooms, subset->n });
+    hg_status status = grooms && subset->weigh ? hg_tensor_write(subset->weigh, subset->mass) : HG_MEMORY;
+    for (int g = 0; grooms && g < subset->grooms; g++) grooms[g] = task->styles[subset->first + g].groom;
+    if (status == HG_OK && !hg_ctx_host(task->ctx))
+        status =
+            hg_roots_create(&subset->roots, task->ctx, task->poser, subset->grooms, grooms, subset->n, subset->strand);
+    hg_free(grooms);
+    return status;
+}
+
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch)
 {
     *subset = (hg_hair_subset){ 0 };
@@ -219,6 +233,7 @@ hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_h
     }
     if (status == HG_OK) status = hg_hair_subset_features(subset, task);
     if (status == HG_OK) status = make_physics(subset, task);
+    if (status == HG_OK) status = place_on_device(subset, task);
     if (status != HG_OK) hg_hair_subset_destroy(subset);
     return status;
 }
@@ -250,6 +265,8 @@ void hg_hair_subset_destroy(hg_hair_subset *subset)
     hg_physics_destroy(subset->physics);
     hg_tensor_destroy(subset->rest);
     hg_tensor_destroy(subset->features);
+    hg_tensor_destroy(subset->weigh);
+    hg_roots_destroy(subset->roots);
     hg_free(subset->lengths);
     hg_free(subset->mass);
     hg_free(subset->strand);
