@@ -45,6 +45,24 @@ void make_region()
 #endif
 }
 
+/* NaN in all of it. Large ones share one piece until they are written to: most of a workspace never is. */
+bool spoil(uintptr_t begin, size_t size)
+{
+    enum { PIECE = 1 << 20 };
+    static int file = -1;
+    if (size >= 4 * (size_t)PIECE && file < 0) {
+        file = memfd_create("emulated-memory", MFD_CLOEXEC);
+        const std::string piece(PIECE, '\xff');
+        if (file < 0 || write(file, piece.data(), PIECE) != PIECE) stop("no memory for %d bytes", (int)PIECE);
+    }
+    const size_t shared = size >= 4 * (size_t)PIECE ? size / PIECE * PIECE : 0;
+    for (size_t at = 0; at < shared; at += PIECE)
+        if (mmap((void *)(begin + at), PIECE, PROT_READ | PROT_WRITE, MAP_PRIVATE | MAP_FIXED, file, 0) == MAP_FAILED) return false;
+    if (mprotect((void *)(begin + shared), size - shared, PROT_READ | PROT_WRITE) != 0) return false;
+    memset((void *)(begin + shared), 0xff, size - shared);
+    return true;
+}
+
 void protect_all(int protection)
 {
     for (const auto &a : allocations) mprotect((void *)(a.first / PAGE * PAGE), pages(a.second), protection);
@@ -128,8 +146,7 @@ int allocate_device(uintptr_t *out, size_t size)
     const size_t whole = pages(size) + PAGE;
     if (whole > REGION - region_used) stop("all addresses have been used up: %zu bytes", REGION);
     const uintptr_t begin = region + region_used, at = begin + (pages(size) - size) / ALIGNMENT * ALIGNMENT;
-    if (mprotect((void *)begin, pages(size), PROT_READ | PROT_WRITE) != 0) return OUT_OF_MEMORY;
-    memset((void *)begin, 0xff, pages(size));
+    if (!spoil(begin, pages(size))) return OUT_OF_MEMORY;
     region_used += whole;
 #ifdef PKEY_DISABLE_ACCESS
     if (key >= 0) pkey_mprotect((void *)begin, pages(size), PROT_READ | PROT_WRITE, key);

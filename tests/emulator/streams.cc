@@ -199,7 +199,8 @@ int fill(const char *what, uintptr_t to, unsigned value, int width, size_t n, vo
     return enqueue(handle, std::move(o));
 }
 
-/* A pointer to the host's memory among the arguments of a kernel. Numbers are rarely the address of a page that is there. */
+/* A pointer to the host's memory among the arguments of a kernel. Numbers are rarely the address of a page that is there; a small
+ * one with a gap after it that holds half of a pointer may be. */
 void check_arguments(const function &f, const std::vector<char> &args)
 {
     size_t at = 0, number = 0;
@@ -207,6 +208,8 @@ void check_arguments(const function &f, const std::vector<char> &args)
         for (size_t i = 0; i + 8 <= size; i += 8) {
             uint64_t word;
             memcpy(&word, args.data() + at + i, sizeof word);
+            const uint32_t low = (uint32_t)word;
+            if (low < 1u << 20 || low > ~0u - (1u << 20)) continue;
             if (word < (uint64_t)1 << 40 || word >> 47 || in_device_region(word) || in_pinned(word, 1) || !mapped_on_host(word)) continue;
             stop("launch of %s: argument %zu, byte %zu: %#zx is memory of the host, which a kernel cannot reach", f.name.c_str(), number, i, (size_t)word);
         }
