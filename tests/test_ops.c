@@ -1,6 +1,7 @@
 /* Every op of the registry, on every one of its samples, through one call: forward against the reference, gradcheck in
  * f64, f32 against f64, an input used twice, backward twice, guards around every buffer, and the same bits for 1 and 2
- * threads. An op that cannot be tested fails. */
+ * threads, or on a device for two runs, whose numbers are the processor's. An op that cannot be tested fails. */
+#include "device.h"
 #include "test.h"
 
 #include "autograd/tape.h"
@@ -42,60 +43,75 @@ static void check(hg_ctx *ctx, const hg_op *op, const hg_sample *sample, const c
     if (hg_ctx_status(ctx) != HG_OK) fail_msg("%s (%s), %s: %s", op->name, sample->label, what, hg_ctx_message(ctx));
 }
 
+static hg_ctx *context(const char *device, int threads)
+{
+    hg_ctx *ctx;
+    if (hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .device = device }) != HG_OK)
+        fail_msg("%s", hg_message());
+    return ctx;
+}
+
 /* Random, but the same for every run. */
 static hg_tensor *seed_for(hg_ctx *ctx, const hg_tensor *y)
 {
-    hg_tensor *seed = hg_tensor_make(ctx, y->dtype, y->rank, y->shape);
-    assert_non_null(seed);
-    for (int64_t i = 0; i < hg_tensor_count(seed); i++) {
-        double x = 0.5 + hg_random_uniform(3, 1, (uint64_t)i);
-        if (y->dtype == HG_F32)
-            ((float *)seed->data)[i] = (float)x;
-        else
-            ((double *)seed->data)[i] = (double)(float)x;
-    }
+    const int64_t n = hg_tensor_count(y);
+    hg_tensor *wide = hg_tensor_make(ctx, HG_F64, y->rank, y->shape),
+              *seed = hg_tensor_make(ctx, y->dtype, y->rank, y->shape);
+    double *values = hg_step_alloc(ctx, (size_t)n * sizeof *values);
+    assert_true(wide && seed && values);
+    for (int64_t i = 0; i < n; i++) values[i] = (double)(float)(0.5 + hg_random_uniform(3, 1, (uint64_t)i));
+    assert_int_equal(hg_tensor_write(wide, values), HG_OK);
+    assert_int_equal(hg_tensor_copy(seed, wide), HG_OK);
     return seed;
 }
 
-/* One run in a context of its own. With `twice` the op is applied two times to the same inputs, and its outputs are
- * added. */
-static result run(const hg_op *op, const hg_sample *sample, hg_dtype dtype, int threads, bool twice)
+static void against_reference(const hg_op *op, const hg_sample *sample, const hg_call *call)
 {
-    hg_ctx *ctx;
+    const int64_t n = hg_tensor_count(call->out);
+    double *expected = hg_alloc((size_t)n + 1, sizeof *expected), largest = 0;
+    op->reference(call, expected);
+    for (int64_t i = 0; i < n; i++) largest = fmax(largest, fabs(expected[i]));
+    for (int64_t i = 0; i < n; i++)
+        if (!(fabs(hg_tensor_item(call->out, i) - expected[i]) <= 1e-13 * (1 + largest)))
+            fail_msg("%s (%s): element %lld is %.17g, the reference says %.17g", op->name, sample->label, (long long)i,
+                     hg_tensor_item(call->out, i), expected[i]);
+    hg_free(expected);
+}
+
+/* One run in a context of its own. With `twice` the op is applied two times to the same inputs, and its outputs are
+ * added. The reference is asked on the processor. */
+static result run(const char *device, const hg_op *op, const hg_sample *sample, hg_dtype dtype, int threads, bool twice)
+{
     hg_tensor *in[HG_OP_INPUTS] = { NULL };
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads }), HG_OK);
+    hg_ctx *ctx = context(device, threads);
     hg_step_guard(ctx, true);
     hg_step_reset(ctx);
     hg_tape_record_all(ctx, true);
     for (int i = 0; i < sample->n_in; i++) {
         in[i] = hg_sample_input(ctx, sample, i, dtype);
+        check(ctx, op, sample, "its inputs");
         if (hg_is_float(in[i]) && !sample->in[i].no_grad) assert_int_equal(hg_require_grad(in[i]), HG_OK);
     }
     hg_tensor *y = hg_apply(ctx, op, sample->n_in, in, sample->attributes);
     check(ctx, op, sample, "forward");
     assert_non_null(y);
-    if (dtype == HG_F64 && !twice) {
-        double *expected = hg_alloc((size_t)hg_tensor_count(y) + 1, sizeof *expected), largest = 0;
-        op->reference(hg_tape_call(ctx, 0), expected);
-        for (int64_t i = 0; i < hg_tensor_count(y); i++) largest = fmax(largest, fabs(expected[i]));
-        for (int64_t i = 0; i < hg_tensor_count(y); i++)
-            if (!(fabs(hg_tensor_item(y, i) - expected[i]) <= 1e-13 * (1 + largest)))
-                fail_msg("%s (%s): element %lld is %.17g, the reference says %.17g", op->name, sample->label,
-                         (long long)i, hg_tensor_item(y, i), expected[i]);
-        hg_free(expected);
-    }
+    if (dtype == HG_F64 && !twice && hg_ctx_host(ctx)) against_reference(op, sample, hg_tape_call(ctx, 0));
     hg_tensor *out = twice ? hg_add(ctx, y, hg_apply(ctx, op, sample->n_in, in, sample->attributes)) : y;
     hg_tensor *seed = seed_for(ctx, y);
-    assert_int_equal(hg_backward_seeded(ctx, out, seed), HG_OK);
+    hg_backward_seeded(ctx, out, seed);
     check(ctx, op, sample, "backward");
     result r = { .n_in = sample->n_in, .out = copy_of(y) };
     for (int i = 0; i < sample->n_in; i++)
         if (hg_grad(in[i])) r.gradient[i] = copy_of(hg_grad(in[i]));
     /* Backward again: gradients are made anew, not added to. */
     assert_int_equal(hg_backward_seeded(ctx, out, seed), HG_OK);
-    for (int i = 0; i < sample->n_in; i++)
-        if (r.gradient[i].data && memcmp(r.gradient[i].data, hg_grad(in[i])->data, hg_tensor_bytes(in[i])) != 0)
+    for (int i = 0; i < sample->n_in; i++) {
+        if (!r.gradient[i].data) continue;
+        array again = copy_of(hg_grad(in[i]));
+        if (memcmp(r.gradient[i].data, again.data, hg_tensor_bytes(in[i])) != 0)
             fail_msg("%s (%s): a second backward gives another gradient of input %d", op->name, sample->label, i);
+        hg_free(again.data);
+    }
     if (hg_step_check(ctx) != HG_OK) fail_msg("%s (%s) wrote outside of its buffers", op->name, sample->label);
     hg_ctx_destroy(ctx);
     return r;
@@ -108,11 +124,11 @@ static bool same_bits(const array *a, const array *b)
 
 static void compare_bits(const hg_op *op, const hg_sample *sample, const result *a, const result *b)
 {
-    if (!same_bits(&a->out, &b->out)) fail_msg("%s (%s): 1 and 2 threads give other bits", op->name, sample->label);
+    const char *runs = test_device() ? "two runs" : "1 and 2 threads";
+    if (!same_bits(&a->out, &b->out)) fail_msg("%s (%s): %s give other bits", op->name, sample->label, runs);
     for (int i = 0; i < a->n_in; i++)
         if (!same_bits(&a->gradient[i], &b->gradient[i]))
-            fail_msg("%s (%s): 1 and 2 threads give other bits in the gradient of input %d", op->name, sample->label,
-                     i);
+            fail_msg("%s (%s): %s give other bits in the gradient of input %d", op->name, sample->label, runs, i);
 }
 
 /* a = factor b, relative to the largest element. */
@@ -130,44 +146,55 @@ static void compare_arrays(const hg_op *op, const hg_sample *sample, const char 
 /* f(x, x): both gradients end in the one tensor. */
 static void check_shared_input(const hg_op *op, const hg_sample *sample)
 {
-    hg_ctx *ctx;
     if (sample->n_in < 2 || sample->in[0].no_grad || sample->in[1].no_grad || sample->in[1].dtype == HG_I32 ||
         sample->in[0].rank != sample->in[1].rank ||
         memcmp(sample->in[0].shape, sample->in[1].shape, sizeof sample->in[0].shape) != 0)
         return;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 1 }), HG_OK);
+    hg_ctx *ctx = context(test_device(), 1);
     hg_tensor *in[2][HG_OP_INPUTS];
     for (int i = 0; i < sample->n_in; i++) in[0][i] = hg_sample_input(ctx, sample, i, HG_F64);
     assert_int_equal(hg_tensor_copy(in[0][1], in[0][0]), HG_OK);
     memcpy(in[1], in[0], sizeof in[0]);
     in[1][1] = in[1][0] = hg_sample_input(ctx, sample, 0, HG_F64);
     hg_tensor *leaves[] = { in[0][0], in[0][1], in[1][0] };
+    array gradients[3] = { { NULL } };
     for (int i = 0; i < 3; i++) assert_int_equal(hg_require_grad(leaves[i]), HG_OK);
-    hg_tensor *y[2];
     for (int j = 0; j < 2; j++) {
-        y[j] = hg_apply(ctx, op, sample->n_in, in[j], sample->attributes);
+        hg_tensor *y = hg_apply(ctx, op, sample->n_in, in[j], sample->attributes);
         check(ctx, op, sample, "one tensor as both inputs");
-        assert_int_equal(hg_backward_seeded(ctx, y[j], seed_for(ctx, y[j])), HG_OK);
-        if (j == 0) /* the second backward zeroes these */
-            for (int64_t e = 0; e < hg_tensor_count(leaves[0]); e++)
-                ((double *)leaves[1]->data)[e] =
-                    ((double *)hg_grad(leaves[0])->data)[e] + ((double *)hg_grad(leaves[1])->data)[e];
+        assert_int_equal(hg_backward_seeded(ctx, y, seed_for(ctx, y)), HG_OK);
+        for (int i = 0; i < 3; i++) /* the second backward zeroes the first two */
+            if ((i == 2) == (j == 1)) gradients[i] = copy_of(hg_grad(leaves[i]));
     }
     for (int64_t e = 0; e < hg_tensor_count(leaves[0]); e++) {
-        double sum = hg_tensor_item(leaves[1], e), shared = hg_tensor_item(hg_grad(leaves[2]), e);
+        double sum = item(&gradients[0], e) + item(&gradients[1], e), shared = item(&gradients[2], e);
         if (!(fabs(sum - shared) <= 1e-12 * (1 + fabs(sum))))
             fail_msg("%s (%s): one tensor as both inputs: gradient %.12g, expected %.12g", op->name, sample->label,
                      shared, sum);
     }
+    for (int i = 0; i < 3; i++) hg_free(gradients[i].data);
     hg_ctx_destroy(ctx);
+}
+
+/* A device's numbers are the processor's, but for the order of sums. */
+static void check_against_cpu(const hg_op *op, const hg_sample *sample, hg_dtype dtype, const result *device)
+{
+    const double tolerance = dtype == HG_F32 ? 1e-5 : 1e-12;
+    result cpu = run("cpu", op, sample, dtype, 2, false);
+    compare_arrays(op, sample, "against the processor", &device->out, 1, &cpu.out, tolerance);
+    for (int i = 0; i < cpu.n_in; i++)
+        compare_arrays(op, sample, "gradient, against the processor", &device->gradient[i], 1, &cpu.gradient[i],
+                       tolerance);
+    free_result(&cpu);
 }
 
 /* Everything about one op on one sample. */
 static void check_sample(const hg_op *op, const hg_sample *sample)
 {
-    result one = run(op, sample, HG_F32, 1, false), two = run(op, sample, HG_F32, 2, false);
-    result wide = run(op, sample, HG_F64, 2, false), twice = run(op, sample, HG_F32, 2, true);
-    result twice_wide = run(op, sample, HG_F64, 1, true);
+    const char *device = test_device();
+    result one = run(device, op, sample, HG_F32, 1, false), two = run(device, op, sample, HG_F32, 2, false);
+    result wide = run(device, op, sample, HG_F64, 2, false), twice = run(device, op, sample, HG_F32, 2, true);
+    result twice_wide = run(device, op, sample, HG_F64, 1, true);
     compare_bits(op, sample, &one, &two);
     compare_arrays(op, sample, "f32 against f64", &one.out, 1, &wide.out, 1e-5);
     for (int i = 0; i < one.n_in; i++) {
@@ -175,12 +202,15 @@ static void check_sample(const hg_op *op, const hg_sample *sample)
         compare_arrays(op, sample, "used twice", &twice.gradient[i], 2, &one.gradient[i], 1e-5);
         compare_arrays(op, sample, "used twice, f64", &twice_wide.gradient[i], 2, &wide.gradient[i], 1e-13);
     }
+    if (device) {
+        check_against_cpu(op, sample, HG_F32, &one);
+        check_against_cpu(op, sample, HG_F64, &wide);
+    }
     check_shared_input(op, sample);
     result *all[] = { &one, &two, &wide, &twice, &twice_wide };
     for (int i = 0; i < 5; i++) free_result(all[i]);
-    hg_ctx *ctx;
+    hg_ctx *ctx = context(device, 1);
     hg_gradcheck_result checked;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 1 }), HG_OK);
     if (hg_gradcheck_op(ctx, op, sample, NULL, &checked) != HG_OK) fail_msg("%s", hg_message());
     hg_ctx_destroy(ctx);
 }
@@ -289,22 +319,21 @@ static void test_gradcheck_kinks(void **state)
     static const char *const names[] = { "slope" };
     const double units[] = { 1e-3 };
     const hg_gradcheck_options options = { .names = names, .units = units };
-    hg_ctx *ctx;
     hg_gradcheck_result r;
-    assert_int_equal(hg_ctx_create(&ctx, NULL), HG_OK);
+    hg_ctx *ctx = context(test_device(), 0);
     hg_tensor *x = hg_tensor_make(ctx, HG_F64, 2, (int64_t[]){ 2, 2 });
-    memcpy(x->data, (double[]){ 0.5, 0, -2, 0 }, 4 * sizeof(double));
+    hg_tensor_write(x, (double[]){ 0.5, 0, -2, 0 });
     assert_int_equal(hg_gradcheck(ctx, bent, NULL, 1, &x, &options, &r), HG_OK);
     assert_int_equal(r.kinks, 2);
     assert_int_equal(r.checked, 2);
     assert_true(r.steps > 0 && r.sweep[0].step == 1e-3 * 2 && r.sweep[0].error == r.worst);
     /* A kink excuses nothing that is wrong on both sides, and the worst element has its place in the message. */
-    memcpy(x->data, (double[]){ 0.5, 0, -2, 0.25 }, 4 * sizeof(double));
+    hg_tensor_write(x, (double[]){ 0.5, 0, -2, 0.25 });
     assert_int_equal(hg_gradcheck(ctx, bent_and_wrong, NULL, 1, &x, &options, &r), HG_NUMERIC);
     assert_int_equal(r.element, 2);
     if (!strstr(hg_message(), "slope[1,0]")) fail_msg("%s", hg_message());
     /* Nothing but kinks is nothing checked. */
-    memset(x->data, 0, 4 * sizeof(double));
+    hg_tensor_fill(x, 0);
     assert_int_equal(hg_gradcheck(ctx, bent, NULL, 1, &x, &options, &r), HG_NUMERIC);
     assert_non_null(strstr(hg_message(), "kink"));
     hg_ctx_destroy(ctx);
@@ -313,11 +342,10 @@ static void test_gradcheck_kinks(void **state)
 static void test_gradcheck_sees(void **state)
 {
     (void)state;
-    hg_ctx *ctx;
     hg_gradcheck_result r;
-    assert_int_equal(hg_ctx_create(&ctx, NULL), HG_OK);
+    hg_ctx *ctx = context(test_device(), 0);
     hg_tensor *x = hg_tensor_make(ctx, HG_F64, 1, (int64_t[]){ 3 });
-    memcpy(x->data, (double[]){ 0.5, -1, 2 }, 3 * sizeof(double));
+    hg_tensor_write(x, (double[]){ 0.5, -1, 2 });
     assert_int_equal(hg_gradcheck(ctx, cubic, NULL, 1, &x, NULL, &r), HG_OK);
     assert_true(r.worst < 1e-8);
     assert_int_equal(hg_gradcheck(ctx, cubic, NULL, 1, &x, &(hg_gradcheck_options){ .directions = 4 }, &r), HG_OK);

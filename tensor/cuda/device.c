@@ -134,6 +134,8 @@ static hg_status launch_now(hg_cuda_device *d, const void *args)
     return launch_with(d, l, l + 1);
 }
 
+enum { PARAMETERS = 4096 }; /* bytes that a kernel of CUDA takes at most */
+
 static hg_status launch(hg_device *device, int threads, const hg_kernel *kernel, int64_t n, const void *args)
 {
     hg_cuda_device *d = of(device);
@@ -152,7 +154,13 @@ static hg_status launch(hg_device *device, int threads, const hg_kernel *kernel,
     d->device.counts.launches++;
     d->last = kernel->name;
     d->since++;
-    if (!d->recording) return launch_with(d, &l, args);
+    if (!d->recording) { /* padding that points nowhere either way: the emulated driver looks for pointers of the host */
+        _Alignas(16) unsigned char copy[PARAMETERS];
+        if (!kernel->clear || kernel->args_size > sizeof copy) return launch_with(d, &l, args);
+        memcpy(copy, args, kernel->args_size);
+        kernel->clear(copy);
+        return launch_with(d, &l, copy);
+    }
     launch_head *kept = hg_cuda_keep(d, launch_now, sizeof l + kernel->args_size);
     if (!kept) return HG_MEMORY;
     *kept = l;
