@@ -1,5 +1,6 @@
 /* The neighbour sums of self collision against plain loops over all pairs: scattered, flat, in one place, with points far
- * off and points that are not finite, with masses; the same bits for any number of threads. */
+ * off and points that are not finite, with masses; the same bits for any number of threads. On the device of the test. */
+#include "device.h"
 #include "test.h"
 
 #include "hairloss/hairloss.h"
@@ -42,7 +43,7 @@ static void evaluate(int threads, hg_dtype dtype, bool masses, const double *res
 {
     hg_ctx *ctx;
     hg_physics *physics;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads }), HG_OK);
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .device = test_device(), .threads = threads }), HG_OK);
     const double params[HG_ENERGY_PARAMS] = { stiffness, h };
     const char *const options[HG_ENERGY_OPTIONS] = { masses ? "kg" : "unit" };
     const hg_term term = { hg_energy_find("self_collision"), 1, params, options };
@@ -52,12 +53,9 @@ static void evaluate(int threads, hg_dtype dtype, bool masses, const double *res
     assert_int_equal(hg_physics_create(&physics, ctx, dtype, &term, 1, &data), HG_OK);
     const int64_t shape[4] = { 1, STRANDS, VERTICES, 3 };
     hg_tensor *at = hg_tensor_create(ctx, dtype, 4, shape), *gradient = hg_tensor_create(ctx, dtype, 4, shape);
-    for (int i = 0; i < 3 * N; i++) {
-        if (dtype == HG_F64)
-            ((double *)at->data)[i] = x[i];
-        else
-            ((float *)at->data)[i] = (float)x[i];
-    }
+    static float single[3 * N];
+    for (int i = 0; i < 3 * N; i++) single[i] = (float)x[i];
+    assert_int_equal(hg_tensor_write(at, dtype == HG_F64 ? (const void *)x : single), HG_OK);
     for (int twice = 0; twice < 2; twice++) { /* the second time with what the first one left */
         hg_step_guard(ctx, true);
         hg_step_reset(ctx);
