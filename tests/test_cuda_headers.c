@@ -7,6 +7,12 @@
 #include <cuda.h>
 #include <nvrtc.h>
 #define HG_CUDA_OWN_TYPES 0
+#if __has_include(<cudnn.h>)
+#include <cudnn.h>
+#define HAVE_CUDNN_HEADERS
+#else
+#define HG_CUDA_OWN_DNN_TYPES 1
+#endif
 #endif
 #include "tensor/cuda/api.h"
 
@@ -26,6 +32,10 @@ HG_CUDA_NVRTC(SAME_FUNCTION)
 HG_CUDA_BLAS(SAME_FUNCTION)
 HG_CUDA_DRIVER_VALUES(SAME_VALUE)
 HG_CUDA_BLAS_VALUES(SAME_VALUE)
+#ifdef HAVE_CUDNN_HEADERS
+HG_CUDA_DNN(SAME_FUNCTION)
+HG_CUDA_DNN_VALUES(SAME_VALUE)
+#endif
 
 /* The sizes that our own types have. */
 #define SAME_ENUM(type_) _Static_assert(sizeof(type_) == sizeof(unsigned), #type_ " is no int");
@@ -42,6 +52,16 @@ SAME_ENUM(cudaDataType)
 SAME_ENUM(cublasComputeType_t)
 SAME_ENUM(libraryPropertyType)
 SAME_ENUM(cublasGemmAlgo_t)
+SAME_ENUM(cublasAtomicsMode_t)
+SAME_ENUM(cublasMath_t)
+SAME_ENUM(cudnnStatus_t)
+SAME_ENUM(cudnnDataType_t)
+SAME_ENUM(cudnnTensorFormat_t)
+SAME_ENUM(cudnnConvolutionMode_t)
+SAME_ENUM(cudnnMathType_t)
+SAME_ENUM(cudnnConvolutionFwdAlgo_t)
+SAME_ENUM(cudnnConvolutionBwdDataAlgo_t)
+SAME_ENUM(cudnnConvolutionBwdFilterAlgo_t)
 _Static_assert(sizeof(CUdeviceptr) == sizeof(unsigned long long), "CUdeviceptr has another size");
 
 typedef HG_CUDA_UPDATE_INFO update_info;
@@ -60,6 +80,7 @@ static void test_headers(void **state)
     HG_CUDA_DRIVER(SAME_SYMBOL)
     HG_CUDA_NVRTC(SAME_SYMBOL)
     HG_CUDA_BLAS(SAME_SYMBOL)
+    HG_CUDA_DNN(SAME_SYMBOL)
     print_message("compared with the headers of CUDA %d.%d\n", CUDA_VERSION / 1000, CUDA_VERSION % 1000 / 10);
 #else
     print_message("NVIDIA's headers are not installed here: nothing to compare with\n");

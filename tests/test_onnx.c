@@ -70,6 +70,21 @@ static hg_tensor *elementwise(void *self, hg_ctx *ctx, hg_tensor *x)
     return hg_add(ctx, d, hg_detach(ctx, a));
 }
 
+/* Images of 2 x 2 pixels: up, convolved with and without bias and padding, down, up again. */
+static hg_tensor *images(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (s->n == 0) {
+        numbers(s, ctx, "image.weight", SHAPE(5, 3, 3, 3), -0.4, 0.4);
+        numbers(s, ctx, "image.bias", SHAPE(5), -0.5, 0.5);
+        numbers(s, ctx, NULL, SHAPE(2, 5, 3, 2), -0.4, 0.4);
+    }
+    hg_tensor *a = hg_upsample(ctx, hg_reshape(ctx, x, SHAPE(-1, 3, 2, 2)), HG_BILINEAR);            /* [n,3,4,4] */
+    hg_tensor *b = hg_activate(ctx, hg_conv2d(ctx, a, s->kept[0], s->kept[1], 1, 1), HG_LEAKY_RELU); /* [n,5,4,4] */
+    hg_tensor *c = hg_conv2d(ctx, b, s->kept[2], NULL, 2, 1);                                        /* [n,2,2,3] */
+    return hg_reshape(ctx, hg_upsample(ctx, c, HG_NEAREST), SHAPE(-1, 48));
+}
+
 static hg_tensor *layout(void *self, hg_ctx *ctx, hg_tensor *x)
 {
     shelf *s = self;
@@ -167,10 +182,15 @@ static hg_tensor *edges(void *self, hg_ctx *ctx, hg_tensor *x)
 static const struct {
     const char *name;
     formula forward;
-} formulas[] = { { "network", network }, { "elementwise", elementwise },
-                 { "layout", layout },   { "reductions", reductions },
-                 { "pairs", pairs },     { "normalisations", normalisations },
-                 { "vectors", vectors }, { "edges", edges },
+} formulas[] = { { "network", network },
+                 { "elementwise", elementwise },
+                 { "layout", layout },
+                 { "images", images },
+                 { "reductions", reductions },
+                 { "pairs", pairs },
+                 { "normalisations", normalisations },
+                 { "vectors", vectors },
+                 { "edges", edges },
                  { "strands", strands } };
 #define FORMULAS (int)(sizeof formulas / sizeof *formulas)
 

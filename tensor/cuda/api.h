@@ -157,12 +157,87 @@ typedef int cublasGemmAlgo_t;
        int, const void *, cudaDataType, int, const void *, void *, cudaDataType, int, cublasComputeType_t,             \
        cublasGemmAlgo_t))
 
+/* ---- cuDNN: libcudnn.so.9, opened when a convolution is first asked for --------------------------------------- */
+
+#ifndef HG_CUDA_OWN_DNN_TYPES
+#define HG_CUDA_OWN_DNN_TYPES HG_CUDA_OWN_TYPES
+#endif
+#if HG_CUDA_OWN_DNN_TYPES
+typedef struct cudnnContext *cudnnHandle_t;
+typedef struct cudnnTensorStruct *cudnnTensorDescriptor_t;
+typedef struct cudnnFilterStruct *cudnnFilterDescriptor_t;
+typedef struct cudnnConvolutionStruct *cudnnConvolutionDescriptor_t;
+typedef unsigned int cudnnStatus_t, cudnnDataType_t, cudnnTensorFormat_t, cudnnConvolutionMode_t, cudnnMathType_t;
+typedef unsigned int cudnnConvolutionFwdAlgo_t, cudnnConvolutionBwdDataAlgo_t, cudnnConvolutionBwdFilterAlgo_t;
+#endif
+
+#define HG_CUDA_DNN_VALUES(X)                                                                                          \
+    X(CUDNN_STATUS_SUCCESS, 0)                                                                                         \
+    X(CUDNN_DATA_FLOAT, 0)                                                                                             \
+    X(CUDNN_DATA_DOUBLE, 1)                                                                                            \
+    X(CUDNN_DATA_BFLOAT16, 9)                                                                                          \
+    X(CUDNN_TENSOR_NCHW, 0)                                                                                            \
+    X(CUDNN_CROSS_CORRELATION, 1)                                                                                      \
+    X(CUDNN_TENSOR_OP_MATH, 1)                                                                                         \
+    X(CUDNN_FMA_MATH, 3)                                                                                               \
+    X(CUDNN_CONVOLUTION_FWD_ALGO_IMPLICIT_GEMM, 0)                                                                     \
+    X(CUDNN_CONVOLUTION_FWD_ALGO_IMPLICIT_PRECOMP_GEMM, 1)                                                             \
+    X(CUDNN_CONVOLUTION_BWD_DATA_ALGO_1, 1)                                                                            \
+    X(CUDNN_CONVOLUTION_BWD_FILTER_ALGO_1, 1)
+
+#define HG_CUDA_DNN(X)                                                                                                 \
+    X(cudnnCreate, "cudnnCreate", cudnnStatus_t, (cudnnHandle_t *))                                                    \
+    X(cudnnDestroy, "cudnnDestroy", cudnnStatus_t, (cudnnHandle_t))                                                    \
+    X(cudnnSetStream, "cudnnSetStream", cudnnStatus_t, (cudnnHandle_t, CUstream))                                      \
+    X(cudnnGetErrorString, "cudnnGetErrorString", const char *, (cudnnStatus_t))                                       \
+    X(cudnnCreateTensorDescriptor, "cudnnCreateTensorDescriptor", cudnnStatus_t, (cudnnTensorDescriptor_t *))          \
+    X(cudnnSetTensor4dDescriptor, "cudnnSetTensor4dDescriptor", cudnnStatus_t,                                         \
+      (cudnnTensorDescriptor_t, cudnnTensorFormat_t, cudnnDataType_t, int, int, int, int))                             \
+    X(cudnnDestroyTensorDescriptor, "cudnnDestroyTensorDescriptor", cudnnStatus_t, (cudnnTensorDescriptor_t))          \
+    X(cudnnCreateFilterDescriptor, "cudnnCreateFilterDescriptor", cudnnStatus_t, (cudnnFilterDescriptor_t *))          \
+    X(cudnnSetFilter4dDescriptor, "cudnnSetFilter4dDescriptor", cudnnStatus_t,                                         \
+      (cudnnFilterDescriptor_t, cudnnDataType_t, cudnnTensorFormat_t, int, int, int, int))                             \
+    X(cudnnDestroyFilterDescriptor, "cudnnDestroyFilterDescriptor", cudnnStatus_t, (cudnnFilterDescriptor_t))          \
+    X(cudnnCreateConvolutionDescriptor, "cudnnCreateConvolutionDescriptor", cudnnStatus_t,                             \
+      (cudnnConvolutionDescriptor_t *))                                                                                \
+    X(cudnnSetConvolution2dDescriptor, "cudnnSetConvolution2dDescriptor", cudnnStatus_t,                               \
+      (cudnnConvolutionDescriptor_t, int, int, int, int, int, int, cudnnConvolutionMode_t, cudnnDataType_t))           \
+    X(cudnnSetConvolutionMathType, "cudnnSetConvolutionMathType", cudnnStatus_t,                                       \
+      (cudnnConvolutionDescriptor_t, cudnnMathType_t))                                                                 \
+    X(cudnnDestroyConvolutionDescriptor, "cudnnDestroyConvolutionDescriptor", cudnnStatus_t,                           \
+      (cudnnConvolutionDescriptor_t))                                                                                  \
+    X(cudnnGetConvolutionForwardWorkspaceSize, "cudnnGetConvolutionForwardWorkspaceSize", cudnnStatus_t,               \
+      (cudnnHandle_t, cudnnTensorDescriptor_t, cudnnFilterDescriptor_t, cudnnConvolutionDescriptor_t,                  \
+       cudnnTensorDescriptor_t, cudnnConvolutionFwdAlgo_t, size_t *))                                                  \
+    X(cudnnGetConvolutionBackwardDataWorkspaceSize, "cudnnGetConvolutionBackwardDataWorkspaceSize", cudnnStatus_t,     \
+      (cudnnHandle_t, cudnnFilterDescriptor_t, cudnnTensorDescriptor_t, cudnnConvolutionDescriptor_t,                  \
+       cudnnTensorDescriptor_t, cudnnConvolutionBwdDataAlgo_t, size_t *))                                              \
+    X(cudnnGetConvolutionBackwardFilterWorkspaceSize, "cudnnGetConvolutionBackwardFilterWorkspaceSize", cudnnStatus_t, \
+      (cudnnHandle_t, cudnnTensorDescriptor_t, cudnnTensorDescriptor_t, cudnnConvolutionDescriptor_t,                  \
+       cudnnFilterDescriptor_t, cudnnConvolutionBwdFilterAlgo_t, size_t *))                                            \
+    X(cudnnConvolutionForward, "cudnnConvolutionForward", cudnnStatus_t,                                               \
+      (cudnnHandle_t, const void *, cudnnTensorDescriptor_t, const void *, cudnnFilterDescriptor_t, const void *,      \
+       cudnnConvolutionDescriptor_t, cudnnConvolutionFwdAlgo_t, void *, size_t, const void *, cudnnTensorDescriptor_t, \
+       void *))                                                                                                        \
+    X(cudnnConvolutionBackwardData, "cudnnConvolutionBackwardData", cudnnStatus_t,                                     \
+      (cudnnHandle_t, const void *, cudnnFilterDescriptor_t, const void *, cudnnTensorDescriptor_t, const void *,      \
+       cudnnConvolutionDescriptor_t, cudnnConvolutionBwdDataAlgo_t, void *, size_t, const void *,                      \
+       cudnnTensorDescriptor_t, void *))                                                                               \
+    X(cudnnConvolutionBackwardFilter, "cudnnConvolutionBackwardFilter", cudnnStatus_t,                                 \
+      (cudnnHandle_t, const void *, cudnnTensorDescriptor_t, const void *, cudnnTensorDescriptor_t, const void *,      \
+       cudnnConvolutionDescriptor_t, cudnnConvolutionBwdFilterAlgo_t, void *, size_t, const void *,                    \
+       cudnnFilterDescriptor_t, void *))
+
 /* ---- tables -------------------------------------------------------------------------------------------------- */
 
 #if HG_CUDA_OWN_TYPES
 #define HG_CUDA_VALUE(name_, value_) name_ = (value_),
 enum { HG_CUDA_DRIVER_VALUES(HG_CUDA_VALUE) };
 enum { HG_CUDA_BLAS_VALUES(HG_CUDA_VALUE) };
+#endif
+#if HG_CUDA_OWN_DNN_TYPES
+#define HG_CUDA_DNN_VALUE(name_, value_) name_ = (value_),
+enum { HG_CUDA_DNN_VALUES(HG_CUDA_DNN_VALUE) };
 #endif
 
 #define HG_CUDA_FIELD(field_, symbol_, result_, arguments_) result_(*field_) arguments_;
@@ -172,10 +247,16 @@ typedef struct {
     HG_CUDA_BLAS(HG_CUDA_FIELD)
     int driver_version, nvrtc_major, nvrtc_minor, blas_major, blas_minor;
 } hg_cuda_api;
+typedef struct {
+    HG_CUDA_DNN(HG_CUDA_FIELD)
+} hg_cuda_dnn_api;
 
 /* Opened once for the process and kept. One sentence why not: no driver, no NVRTC, no cuBLAS, too old. */
 hg_status hg_cuda_library(const hg_cuda_api **api);
 const char *hg_cuda_refusal(void); /* that sentence */
+
+/* The same for cuDNN, which convolutions alone need: opened when the first is asked for. */
+hg_status hg_cuda_dnn_library(const hg_cuda_dnn_api **api);
 
 /* HG_OK or one sentence: what was tried, CUDA's name of the error and its own words. */
 hg_status hg_cuda_check(const hg_cuda_api *api, CUresult result, const char *what);

@@ -192,6 +192,7 @@ static void close_device(hg_device *device)
         hg_cuda_graphs_free(d);
         hg_cuda_staging_free(d);
         hg_cuda_modules_free(d);
+        hg_cuda_convolutions_free(d);
         if (d->blas) d->api->cublasDestroy(d->blas);
         if (d->blas_workspace) d->api->cuMemFree(d->blas_workspace);
         if (d->stream) d->api->cuStreamDestroy(d->stream);
@@ -249,6 +250,8 @@ hg_status hg_cuda_open(hg_device **out, int number)
                                        .forget = hg_cuda_forget,
                                        .product_workspace = hg_cuda_product_workspace,
                                        .product = hg_cuda_product,
+                                       .convolve_workspace = hg_cuda_convolve_workspace,
+                                       .convolve = hg_cuda_convolve,
                                        .compute = compute,
                                        .record = hg_cuda_record,
                                        .run = hg_cuda_run } };

@@ -39,6 +39,9 @@ struct hg_cuda_device {
     int major, minor, multiprocessors; /* compute capability */
     cublasHandle_t blas;               /* made with the first product, with its workspace */
     CUdeviceptr blas_workspace;
+    const hg_cuda_dnn_api *dnn_api; /* with the first convolution */
+    cudnnHandle_t dnn;
+    struct hg_cuda_convolution *convolutions; /* a list of what was asked for */
     hg_dtype compute;
 
     const char *last; /* what was launched last since the device was last waited for, NULL: nothing */
@@ -92,6 +95,11 @@ size_t hg_cuda_product_workspace(hg_device *device, hg_dtype dtype, bool transpo
 hg_status hg_cuda_product(hg_device *device, int threads, hg_dtype dtype, bool transpose_a, bool transpose_b, int64_t m,
                           int64_t n, int64_t k, double alpha, const void *a, int64_t lda, const void *b, int64_t ldb,
                           double beta, void *c, int64_t ldc, void *workspace);
+
+/* convolution.c */
+hg_status hg_cuda_convolve_workspace(hg_device *device, int threads, const hg_convolve_call *call, size_t *bytes);
+hg_status hg_cuda_convolve(hg_device *device, int threads, const hg_convolve_call *call, void *workspace);
+void hg_cuda_convolutions_free(hg_cuda_device *device);
 
 /* The files that the library carries for NVRTC: *.kernel.h, *.inc and the headers they include, by their path from the root;
  * the last has no name. Made by base/generate_texts.c. */

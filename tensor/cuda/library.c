@@ -25,6 +25,9 @@ static void *open_toolkit(const char *name)
     return library;
 }
 
+static hg_cuda_dnn_api dnn_table;
+static char dnn_message[256];
+
 static hg_status refuse(const char *format, ...) HG_PRINTF(1, 2);
 static hg_status refuse(const char *format, ...)
 {
@@ -97,6 +100,28 @@ hg_status hg_cuda_library(const hg_cuda_api **api)
 }
 
 const char *hg_cuda_refusal(void) { return table_message; }
+
+static void open_dnn(void)
+{
+    void *library = dlopen("libcudnn.so.9", RTLD_NOW | RTLD_LOCAL);
+    if (!library)
+        snprintf(dnn_message, sizeof dnn_message,
+                 "convolutions need cuDNN 9, libcudnn.so.9, which is missing: install it, or use the cpu");
+#define TAKE_DNN(field_, symbol_, result_, arguments_)                                                                 \
+    if (!dnn_message[0]) *(void **)(void *)&dnn_table.field_ = dlsym(library, symbol_);                                \
+    if (!dnn_message[0] && !dnn_table.field_)                                                                          \
+        snprintf(dnn_message, sizeof dnn_message,                                                                      \
+                 "%s is missing in the libcudnn.so.9 that was found: cuDNN 9 is needed", symbol_);
+    HG_CUDA_DNN(TAKE_DNN)
+}
+
+hg_status hg_cuda_dnn_library(const hg_cuda_dnn_api **api)
+{
+    static pthread_once_t once = PTHREAD_ONCE_INIT;
+    pthread_once(&once, open_dnn);
+    *api = &dnn_table;
+    return dnn_message[0] ? hg_fail(HG_UNSUPPORTED, "cuda: %s", dnn_message) : HG_OK;
+}
 
 hg_status hg_cuda_check(const hg_cuda_api *api, CUresult result, const char *what)
 {
