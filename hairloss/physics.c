@@ -56,6 +56,7 @@ struct hg_physics {
     hg_tensor *weights;     /* [n] f64 */
     hg_tensor *unweighted;  /* [n] f64 of the last call, of its step */
     double *sums;           /* [n] the same, read back where the host asks for it */
+    hg_physics *twin;       /* on the processor, for HAIRGRAD_VALIDATE; made when it is first asked for */
 };
 
 int hg_physics_terms(const hg_physics *physics) { return physics->n; }
@@ -246,6 +247,7 @@ hg_status hg_physics_create(hg_physics **physics, hg_ctx *ctx, hg_dtype dtype, c
 void hg_physics_destroy(hg_physics *physics)
 {
     if (!physics) return;
+    hg_physics_destroy(physics->twin);
     for (int i = 0; i < VARIANTS; i++) hg_strand_pass_destroy(physics->strands[i].pass);
     hg_physics_asks_free(&physics->asks);
     for (int i = 0; i < physics->n_others; i++) physics->others[i].kind->destroy(physics->others[i].self);
@@ -532,10 +534,10 @@ static hg_tensor *physics_shape(hg_call *call)
     return hg_tensor_make(call->ctx, attributes->physics->dtype, 0, NULL);
 }
 
-/* The inputs are the caller's, as long as its call; a trap may want them later. */
+/* The inputs are the caller's, as long as its call; a trap or a validation may want them later. */
 static hg_status keep_inputs(hg_ctx *ctx, hg_frame *frame)
 {
-    const int n = hg_trap_is_on(ctx, NULL) ? frame->n_inputs : 0;
+    const int n = hg_trap_is_on(ctx, NULL) || hg_validate_wanted(ctx) ? frame->n_inputs : 0;
     hg_frame_input *kept = n ? hg_step_alloc(ctx, (size_t)n * sizeof *kept) : NULL;
     for (int i = 0; i < n; i++) {
         const size_t size = strlen(frame->inputs[i].name) + 1;
@@ -590,6 +592,17 @@ static hg_status physics_backward(hg_call *call)
     return HG_OK;
 }
 
+static hg_tensor *physics_twin(const hg_call *call, hg_ctx *host, hg_tensor *const *in)
+{
+    const physics_call *attributes = call->attributes;
+    hg_physics *p = attributes->physics;
+    if (!p->twin && hg_physics_create(&p->twin, host, p->dtype, p->terms, p->n, &p->data) != HG_OK) {
+        hg_ctx_fail(host, HG_INVALID, "%s", hg_message());
+        return NULL;
+    }
+    return hg_physics_twin(p->twin, &attributes->frame, call, host, in);
+}
+
 static const hg_op physics_op = { .name = "physics",
                                   .formula = "sum of weight * energy",
                                   .min_in = 1,
@@ -598,7 +611,8 @@ static const hg_op physics_op = { .name = "physics",
                                   .shape = physics_shape,
                                   .forward = physics_forward,
                                   .backward = physics_backward,
-                                  .explain = physics_explain };
+                                  .explain = physics_explain,
+                                  .twin = physics_twin };
 
 /* The inputs of the op are x and every other tensor that needs a gradient, each once. */
 hg_tensor *(hg_physics_energy)(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x,

@@ -93,4 +93,8 @@ uint64_t hg_strand_pass_hash(const hg_strand_pass *pass);
 hg_status hg_strand_pass_run(hg_strand_pass *pass, const hg_pass_call *call, const void *contact_point,
                              const void *contact_normal);
 
+/* physics_twin.c: the energy of a call on the device, of `twin` on the processor; inputs as hg_op.twin has them. */
+hg_tensor *hg_physics_twin(hg_physics *twin, const hg_frame *frame, const hg_call *call, hg_ctx *host,
+                           hg_tensor *const *in);
+
 #endif
