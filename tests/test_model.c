@@ -1,6 +1,8 @@
 /* models: the factored first layer against the concatenated one, the zero start, weights that depend on the seed alone. */
 #include "hairgrad.h"
 
+#include "device.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -21,27 +23,40 @@ static const hg_model_spec spec = { .inputs = STRAND_INPUTS + FRAME_INPUTS,
 static hg_ctx *make_ctx(int threads)
 {
     hg_ctx *ctx = NULL;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
+    const hg_ctx_options options = { .threads = threads, .seed = 1, .device = test_device() };
+    assert_int_equal(hg_ctx_create(&ctx, &options), HG_OK);
     return ctx;
+}
+
+static void randomise(hg_tensor *tensor, uint64_t stream, double scale)
+{
+    const int64_t count = hg_tensor_count(tensor);
+    float *numbers = malloc((size_t)count * sizeof *numbers);
+    for (int64_t i = 0; i < count; i++) numbers[i] = (float)(scale * hg_random_normal(9, stream, (uint64_t)i));
+    assert_int_equal(hg_tensor_write(tensor, numbers), HG_OK);
+    free(numbers);
 }
 
 static hg_tensor *random_tensor(hg_ctx *ctx, int64_t rows, int64_t columns, uint64_t stream)
 {
     hg_tensor *tensor = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ rows, columns });
     assert_non_null(tensor);
-    for (int64_t i = 0; i < rows * columns; i++)
-        ((float *)tensor->data)[i] = (float)hg_random_normal(9, stream, (uint64_t)i);
-    hg_tensor_touch(tensor);
+    randomise(tensor, stream, 1);
     return tensor;
+}
+
+static float *numbers_of(const hg_tensor *tensor)
+{
+    float *numbers = malloc(hg_tensor_bytes(tensor) + 1);
+    assert_int_equal(hg_tensor_read(tensor, numbers), HG_OK);
+    return numbers;
 }
 
 static void randomise_last_layer(hg_model *model)
 {
     hg_tensor *weight = model->params[model->n_params - 2];
     assert_string_equal(weight->name, "last.weight");
-    for (int64_t i = 0; i < hg_tensor_count(weight); i++)
-        ((float *)weight->data)[i] = (float)(0.2 * hg_random_normal(9, 77, (uint64_t)i));
-    hg_tensor_touch(weight);
+    randomise(weight, 77, 0.2);
 }
 
 /* Forward and the gradients of all parameters agree between the two forms of the network. */
@@ -56,12 +71,17 @@ static void factored_equals_concatenated(void **state)
               *frame = random_tensor(ctx, FRAMES, FRAME_INPUTS, 2);
     hg_tensor *both = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ FRAMES * STRANDS, spec.inputs });
     assert_non_null(both);
+    float *strands = numbers_of(strand), *frames = numbers_of(frame), *rows = numbers_of(both);
     for (int64_t b = 0; b < FRAMES; b++)
         for (int64_t s = 0; s < STRANDS; s++) {
-            float *row = (float *)both->data + (b * STRANDS + s) * spec.inputs;
-            memcpy(row, (float *)strand->data + s * STRAND_INPUTS, STRAND_INPUTS * sizeof *row);
-            memcpy(row + STRAND_INPUTS, (float *)frame->data + b * FRAME_INPUTS, FRAME_INPUTS * sizeof *row);
+            float *row = rows + (b * STRANDS + s) * spec.inputs;
+            memcpy(row, strands + s * STRAND_INPUTS, STRAND_INPUTS * sizeof *row);
+            memcpy(row + STRAND_INPUTS, frames + b * FRAME_INPUTS, FRAME_INPUTS * sizeof *row);
         }
+    assert_int_equal(hg_tensor_write(both, rows), HG_OK);
+    free(strands);
+    free(frames);
+    free(rows);
     hg_tensor *out[3];
     float *gradient[3][6];
     for (int form = 0; form < 3; form++) {
@@ -75,11 +95,7 @@ static void factored_equals_concatenated(void **state)
         assert_int_equal(hg_tensor_copy(out[form], y), HG_OK);
         assert_int_equal(hg_backward(ctx, hg_mean(ctx, hg_square(ctx, y))), HG_OK);
         assert_int_equal(model->n_params, 6);
-        for (int i = 0; i < 6; i++) {
-            const size_t bytes = hg_tensor_bytes(model->params[i]);
-            gradient[form][i] = malloc(bytes);
-            memcpy(gradient[form][i], hg_grad(model->params[i])->data, bytes);
-        }
+        for (int i = 0; i < 6; i++) gradient[form][i] = numbers_of(hg_grad(model->params[i]));
     }
     double largest = 0;
     for (int form = 1; form < 3; form++) {
@@ -151,10 +167,16 @@ static void weights_depend_on_the_seed_alone(void **state)
     assert_int_equal(hg_model_create(&a, ctx, "neuralocks", &spec), HG_OK);
     assert_int_equal(hg_model_create(&b, ctx, "neuralocks", &spec), HG_OK);
     assert_int_equal(hg_model_create(&c, ctx, "neuralocks", &other), HG_OK);
-    assert_memory_equal(a->params[0]->data, b->params[0]->data, hg_tensor_bytes(a->params[0]));
-    assert_memory_not_equal(a->params[0]->data, c->params[0]->data, hg_tensor_bytes(a->params[0]));
+    float *of_a = numbers_of(a->params[0]), *of_b = numbers_of(b->params[0]), *of_c = numbers_of(c->params[0]);
+    assert_memory_equal(of_a, of_b, hg_tensor_bytes(a->params[0]));
+    assert_memory_not_equal(of_a, of_c, hg_tensor_bytes(a->params[0]));
     assert_int_equal(hg_model_copy(c, a), HG_OK);
-    assert_memory_equal(a->params[0]->data, c->params[0]->data, hg_tensor_bytes(a->params[0]));
+    free(of_c);
+    of_c = numbers_of(c->params[0]);
+    assert_memory_equal(of_a, of_c, hg_tensor_bytes(a->params[0]));
+    free(of_a);
+    free(of_b);
+    free(of_c);
     hg_model_destroy(a);
     hg_model_destroy(b);
     hg_model_destroy(c);

@@ -1,6 +1,8 @@
 /* train: Adam against plain loops, a toy task, resume to the bit, threads, killed checkpoints, refusals. */
 #include "hairgrad.h"
 
+#include "device.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <signal.h>
@@ -30,22 +32,36 @@ static int remove_folder(void **state)
     return system(command) == 0 ? 0 : -1;
 }
 
-static hg_ctx *make_ctx(int threads)
+static hg_ctx *make_ctx_on(const char *device, int threads)
 {
     hg_ctx *ctx = NULL;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 3 }), HG_OK);
+    const hg_ctx_options options = { .threads = threads, .seed = 3, .device = device };
+    assert_int_equal(hg_ctx_create(&ctx, &options), HG_OK);
     return ctx;
 }
+
+static hg_ctx *make_ctx(int threads) { return make_ctx_on(test_device(), threads); }
 
 /* ---- Adam --------------------------------------------------------------------------------------------------- */
 
 enum { SMALL = 5, LARGE = 9001 };
 
-static void set_gradient(hg_tensor *param, uint64_t step)
+/* Random numbers; `bad` in one element (-1: none). They come back, to be freed. */
+static float *set_gradient(hg_tensor *param, uint64_t step, int64_t at, float bad)
 {
-    float *g = hg_grad(param)->data;
-    for (int64_t i = 0; i < hg_tensor_count(param); i++)
-        g[i] = (float)hg_random_normal(1, (uint64_t)hg_tensor_count(param), step * 100000 + (uint64_t)i);
+    const int64_t count = hg_tensor_count(param);
+    float *g = malloc((size_t)count * sizeof *g);
+    for (int64_t i = 0; i < count; i++)
+        g[i] = i == at ? bad : (float)hg_random_normal(1, (uint64_t)count, step * 100000 + (uint64_t)i);
+    assert_int_equal(hg_tensor_write(hg_grad(param), g), HG_OK);
+    return g;
+}
+
+static float *numbers_of(const hg_tensor *tensor)
+{
+    float *numbers = malloc(hg_tensor_bytes(tensor) + 1);
+    assert_int_equal(hg_tensor_read(tensor, numbers), HG_OK);
+    return numbers;
 }
 
 static void adam_matches_plain_loops(void **state)
@@ -67,15 +83,16 @@ static void adam_matches_plain_loops(void **state)
     const double rate = 1e-2, beta1 = 0.9, beta2 = 0.999, epsilon = 1e-8, decay = 0.01, clip = 50;
     for (int step = 1; step <= 10; step++) {
         double squares = 0, norm = 0;
+        float *gradient[2];
         for (int p = 0; p < 2; p++) {
-            set_gradient(params[p], (uint64_t)step);
-            for (int64_t i = 0; i < count[p]; i++) squares += pow(hg_tensor_item(hg_grad(params[p]), i), 2);
+            gradient[p] = set_gradient(params[p], (uint64_t)step, -1, 0);
+            for (int64_t i = 0; i < count[p]; i++) squares += pow((double)gradient[p][i], 2);
         }
         const double length = sqrt(squares), scale = length > clip ? clip / length : 1;
         assert_true(scale < 1);
         for (int p = 0; p < 2; p++)
             for (int64_t i = 0; i < count[p]; i++) {
-                const double g = scale * hg_tensor_item(hg_grad(params[p]), i);
+                const double g = scale * (double)gradient[p][i];
                 m[p][i] = beta1 * m[p][i] + (1 - beta1) * g;
                 v[p][i] = beta2 * v[p][i] + (1 - beta2) * g * g;
                 const double m_hat = m[p][i] / (1 - pow(beta1, step)), v_hat = v[p][i] / (1 - pow(beta2, step));
@@ -83,10 +100,12 @@ static void adam_matches_plain_loops(void **state)
             }
         assert_int_equal(hg_adam_step(adam, rate, beta1, beta2, epsilon, decay, clip, &norm), HG_OK);
         assert_true(fabs(norm - length) < 1e-9 * length);
+        for (int p = 0; p < 2; p++) free(gradient[p]);
     }
-    for (int p = 0; p < 2; p++)
-        for (int64_t i = 0; i < count[p]; i++) assert_true(fabs(hg_tensor_item(params[p], i) - value[p][i]) < 2e-6);
     for (int p = 0; p < 2; p++) {
+        float *found = numbers_of(params[p]);
+        for (int64_t i = 0; i < count[p]; i++) assert_true(fabs((double)found[i] - value[p][i]) < 2e-6);
+        free(found);
         free(value[p]);
         free(m[p]);
         free(v[p]);
@@ -96,26 +115,41 @@ static void adam_matches_plain_loops(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* Said at the step on the processor; on a device by hg_adam_check, and no step is made until then. */
 static void adam_refuses_what_is_not_finite(void **state)
 {
     (void)state;
     hg_ctx *ctx = make_ctx(1);
-    hg_tensor *param = hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ 10 });
-    param->name = "hidden7.weight";
-    hg_require_grad(param);
+    hg_tensor *params[2] = { hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ 3000 }),
+                             hg_tensor_create(ctx, HG_F32, 1, (int64_t[]){ 3000 }) };
+    params[0]->name = "first.weight";
+    params[1]->name = "hidden7.weight";
     hg_adam *adam = NULL;
-    assert_int_equal(hg_adam_create(&adam, ctx, 1, &param), HG_OK);
-    set_gradient(param, 1);
-    ((float *)hg_grad(param)->data)[7] = NAN;
-    assert_int_equal(hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_NUMERIC);
-    assert_non_null(strstr(hg_message(), "hidden7.weight"));
-    for (int i = 0; i < 10; i++) assert_true(hg_tensor_item(param, i) == 0);
-    set_gradient(param, 1);
+    for (int p = 0; p < 2; p++) hg_require_grad(params[p]);
+    assert_int_equal(hg_adam_create(&adam, ctx, 2, params), HG_OK);
+    for (int late = 0; late < 2; late++) {
+        free(set_gradient(params[0], 1, -1, 0));
+        free(set_gradient(params[1], 1, 2999, late ? INFINITY : NAN));
+        double norm = 0;
+        hg_status status = hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, late ? NULL : &norm);
+        if (late && !hg_ctx_host(ctx)) {
+            assert_int_equal(status, HG_OK);
+            free(set_gradient(params[1], 2, -1, 0));
+            assert_int_equal(hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_OK);
+            status = hg_adam_check(adam, &norm);
+        }
+        assert_int_equal(status, HG_NUMERIC);
+        if (!strstr(hg_message(), "hidden7.weight is not finite at step 1")) fail_msg("%s", hg_message());
+        for (int p = 0; p < 2; p++)
+            for (int i = 0; i < 3000; i += 77) assert_true(hg_tensor_item(params[p], i) == 0);
+    }
+    for (int p = 0; p < 2; p++) free(set_gradient(params[p], 1, -1, 0));
     assert_int_equal(hg_adam_step(adam, 0.1, 0.9, 0.999, 1e-8, 0, 0, NULL), HG_OK);
-    for (int i = 0; i < 10; i++)
-        assert_true(fabs(fabs(hg_tensor_item(param, i)) - 0.1) < 1e-5); /* the first step is the rate */
+    assert_int_equal(hg_adam_check(adam, NULL), HG_OK);
+    for (int i = 0; i < 3000; i += 77)
+        assert_true(fabs(fabs(hg_tensor_item(params[1], i)) - 0.1) < 1e-5); /* the first step is the rate */
     hg_adam_destroy(adam);
-    hg_tensor_destroy(param);
+    for (int p = 0; p < 2; p++) hg_tensor_destroy(params[p]);
     hg_ctx_destroy(ctx);
 }
 
@@ -143,9 +177,9 @@ static hg_status toy_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t ste
 static hg_tensor *toy_loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
 {
     (void)self, (void)report;
-    toy_batch *batch = (toy_batch *)(uintptr_t)bytes;
-    hg_tensor *x = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ ROWS, INPUTS }, batch->x);
-    hg_tensor *y = hg_tensor_wrap(ctx, HG_F32, 2, (int64_t[]){ ROWS, OUTPUTS }, batch->y);
+    const toy_batch *batch = bytes;
+    hg_tensor *x = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ ROWS, INPUTS }, batch->x);
+    hg_tensor *y = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ ROWS, OUTPUTS }, batch->y);
     return hg_mean(ctx, hg_square(ctx, hg_sub(ctx, model->forward(model->self, ctx, &x, 1), y)));
 }
 
@@ -188,27 +222,39 @@ static bool stop_now(void *self)
     return stop->asked++ == stop->at;
 }
 
-/* Trains the toy in `name` (NULL: no folder) and returns its weights. */
-static float *toy_run(const char *name, int threads, hg_train_options options, hg_train_result *result, size_t *bytes)
+static hg_model *toy_model(hg_ctx *ctx)
 {
-    hg_ctx *ctx = make_ctx(threads);
     hg_model *model = NULL;
     const hg_model_spec spec = {
         .inputs = INPUTS, .outputs = OUTPUTS, .width = 48, .depth = 2, .activation = HG_TANH, .seed = 8
     };
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
-    char path[320];
-    snprintf(path, sizeof path, "%s/%s", folder, name ? name : "");
-    options.folder = name ? path : NULL;
-    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, result), HG_OK);
+    return model;
+}
+
+static float *weights_of(const hg_model *model, size_t *bytes)
+{
     *bytes = 0;
     for (int i = 0; i < model->n_params; i++) *bytes += hg_tensor_bytes(model->params[i]);
     char *weights = malloc(*bytes);
     for (int i = 0, at = 0; i < model->n_params; at += (int)hg_tensor_bytes(model->params[i]), i++)
-        memcpy(weights + at, model->params[i]->data, hg_tensor_bytes(model->params[i]));
+        assert_int_equal(hg_tensor_read(model->params[i], weights + at), HG_OK);
+    return (float *)(void *)weights;
+}
+
+/* Trains the toy in `name` (NULL: no folder) and returns its weights. */
+static float *toy_run(const char *name, int threads, hg_train_options options, hg_train_result *result, size_t *bytes)
+{
+    hg_ctx *ctx = make_ctx(threads);
+    hg_model *model = toy_model(ctx);
+    char path[320];
+    snprintf(path, sizeof path, "%s/%s", folder, name ? name : "");
+    options.folder = name ? path : NULL;
+    assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, result), HG_OK);
+    float *weights = weights_of(model, bytes);
     hg_model_destroy(model);
     hg_ctx_destroy(ctx);
-    return (float *)weights;
+    return weights;
 }
 
 static void toy_is_learnt(void **state)
@@ -250,6 +296,116 @@ static void threads_do_not_matter(void **state)
     assert_memory_equal(one, two, bytes);
     free(one);
     free(two);
+}
+
+/* The same steps by hand, nothing recorded and each of them waited for, give the same bits as the trainer's; and a device is
+ * waited for by the trainer where it logs, not in its steps. */
+static void trainer_equals_steps_by_hand(void **state)
+{
+    (void)state;
+    hg_train_options options = toy_options();
+    options.steps = 30;
+    options.warm_up = 0;
+    options.final_fraction = 1;
+    options.validate_every = options.checkpoint_every = 0;
+    size_t bytes, same;
+    float *weights[2];
+    for (int by_hand = 0; by_hand < 2; by_hand++) {
+        hg_ctx *ctx = make_ctx(2);
+        hg_model *model = toy_model(ctx);
+        hg_task task = toy;
+        task.validate = NULL;
+        if (by_hand) {
+            hg_adam *adam = NULL;
+            toy_batch batch;
+            assert_int_equal(hg_adam_create(&adam, ctx, model->n_params, model->params), HG_OK);
+            for (uint64_t step = 0; step < 30; step++) {
+                double norm = 0;
+                hg_step_reset(ctx);
+                assert_int_equal(toy_sample(NULL, ctx, hg_ctx_seed(ctx), step, &batch), HG_OK);
+                assert_int_equal(hg_backward(ctx, toy_loss(NULL, ctx, model, &batch, NULL)), HG_OK);
+                assert_int_equal(hg_adam_step(adam, options.learning_rate, options.beta1, options.beta2,
+                                              options.epsilon, options.weight_decay, options.clip, &norm),
+                                 HG_OK);
+                assert_true(norm > 0);
+            }
+            hg_adam_destroy(adam);
+        } else {
+            assert_int_equal(hg_train(ctx, model, &task, &options, NULL, NULL), HG_OK);
+            const hg_device_counts counts = hg_ctx_counts(ctx);
+            if (!hg_ctx_host(ctx)) assert_true(counts.replays >= 20);
+        }
+        weights[by_hand] = weights_of(model, by_hand ? &same : &bytes);
+        hg_model_destroy(model);
+        hg_ctx_destroy(ctx);
+    }
+    assert_int_equal(bytes, same);
+    assert_memory_equal(weights[0], weights[1], bytes);
+    free(weights[0]);
+    free(weights[1]);
+}
+
+/* A hundred steps on a device come to the processor's weights. */
+static void devices_agree(void **state)
+{
+    (void)state;
+    if (!test_device()) skip();
+    hg_train_options options = toy_options();
+    options.steps = 100;
+    hg_train_result result[2];
+    size_t bytes;
+    float *weights[2];
+    for (int i = 0; i < 2; i++) {
+        hg_ctx *ctx = make_ctx_on(i ? test_device() : "cpu", 2);
+        hg_model *model = toy_model(ctx);
+        assert_int_equal(hg_train(ctx, model, &toy, &options, NULL, &result[i]), HG_OK);
+        weights[i] = weights_of(model, &bytes);
+        hg_model_destroy(model);
+        hg_ctx_destroy(ctx);
+    }
+    assert_true(result[0].loss > 0 && fabs(result[1].loss - result[0].loss) <= 1e-3 * result[0].loss);
+    assert_true(fabs(result[1].best_validation - result[0].best_validation) <= 1e-3 * result[0].best_validation);
+    double largest = 0, worst = 0;
+    for (size_t i = 0; i < bytes / sizeof(float); i++) {
+        largest = fmax(largest, fabs((double)weights[0][i]));
+        worst = fmax(worst, fabs((double)weights[1][i] - (double)weights[0][i]));
+    }
+    if (!(worst <= 1e-3 * largest)) fail_msg("weights of %g differ by %g", largest, worst);
+    free(weights[0]);
+    free(weights[1]);
+}
+
+/* A loss that is not finite ends a training, on a device when it is next looked at; the weights are those of before. */
+static hg_tensor *bad_loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
+{
+    int *step = self;
+    hg_tensor *loss = toy_loss(NULL, ctx, model, bytes, report);
+    return (*step)++ == 4 ? hg_log(ctx, hg_scale(ctx, loss, 0, -1)) : loss;
+}
+
+static void bad_loss_ends_a_training(void **state)
+{
+    (void)state;
+    size_t bytes;
+    float *weights[2];
+    for (int bad = 0; bad < 2; bad++) {
+        hg_ctx *ctx = make_ctx(1);
+        hg_model *model = toy_model(ctx);
+        hg_train_options options = toy_options();
+        int step = bad ? 0 : 10;
+        hg_task task = { .self = &step, .batch_bytes = sizeof(toy_batch), .sample = toy_sample, .loss = bad_loss };
+        options.steps = bad ? 30 : 4;
+        options.final_fraction = 1;
+        const hg_status status = hg_train(ctx, model, &task, &options, NULL, NULL);
+        assert_int_equal(status, bad ? HG_NUMERIC : HG_OK);
+        if (bad && !strstr(hg_message(), "at step 5")) fail_msg("%s", hg_message());
+        weights[bad] = weights_of(model, &bytes);
+        hg_model_destroy(model);
+        hg_ctx_destroy(ctx);
+    }
+    assert_memory_equal(weights[0], weights[1], bytes);
+    free(weights[0]);
+    free(weights[1]);
 }
 
 static int lines(const char *name)
@@ -350,8 +506,9 @@ static void broken_checkpoint_leaves_the_old_one(void **state)
     char path[320];
     snprintf(path, sizeof path, "%s/kill.h5", folder);
     assert_int_equal(hg_checkpoint_save(path, model, NULL, 41, NULL, "a", 1), HG_OK);
-    float first = ((float *)model->params[0]->data)[0];
-    ((float *)model->params[0]->data)[0] = first + 1;
+    const double first = hg_tensor_item(model->params[0], 0);
+    assert_true(first != 7);
+    assert_int_equal(hg_tensor_fill(model->params[0], 7), HG_OK);
 
     hg_task task = toy;
     task.save = fail_to_save;
@@ -372,7 +529,7 @@ static void broken_checkpoint_leaves_the_old_one(void **state)
     assert_int_equal(hg_checkpoint_load(path, model, NULL, &step, NULL, &backend, &hash), HG_OK);
     assert_int_equal(step, 41);
     assert_string_equal(backend, "a");
-    assert_true(((float *)model->params[0]->data)[0] == first);
+    assert_true(hg_tensor_item(model->params[0], 0) == first);
     hg_free(backend);
     hg_model_destroy(model);
     hg_ctx_destroy(ctx);
@@ -408,6 +565,9 @@ int main(void)
         cmocka_unit_test(adam_refuses_what_is_not_finite),
         cmocka_unit_test(toy_is_learnt),
         cmocka_unit_test(threads_do_not_matter),
+        cmocka_unit_test(trainer_equals_steps_by_hand),
+        cmocka_unit_test(devices_agree),
+        cmocka_unit_test(bad_loss_ends_a_training),
         cmocka_unit_test(resumed_equals_uninterrupted),
         cmocka_unit_test(resume_refuses),
         cmocka_unit_test(broken_checkpoint_leaves_the_old_one),
