@@ -12,11 +12,12 @@
 struct hg_adam {
     hg_ctx *ctx;
     hg_chunks chunks;
-    hg_tensor *m, *v;     /* [all parameters in order] */
-    hg_tensor *partial;   /* [chunks], f64 */
-    hg_tensor *found;     /* an adam_state on a device; NULL on the host */
-    adam_numbers numbers; /* of the step that is made */
-    adam_state state;     /* the host's, or what was last read */
+    hg_tensor *m, *v;         /* [all parameters in order] */
+    hg_tensor *partial;       /* [chunks], f64 */
+    hg_tensor *found;         /* an adam_state on a device; NULL on the host */
+    adam_numbers numbers;     /* of the step that is made */
+    adam_state state;         /* the host's, or what was last read */
+    const hg_tensor *watched; /* the loss that the next step looks at */
     int64_t step;
 };
 
@@ -58,17 +59,27 @@ void hg_adam_destroy(hg_adam *adam)
     hg_free(adam);
 }
 
+hg_status hg_adam_bad_loss(double loss, int64_t step)
+{
+    return hg_fail(HG_NUMERIC,
+                   "trainer: the loss is %g at step %lld; try a smaller learning rate, or --trap-nan to see where it "
+                   "comes from",
+                   loss, (long long)step);
+}
+
 static hg_status refuse(const hg_adam *adam, int64_t step, int64_t param)
 {
-    if (param < 0)
-        return hg_fail(HG_NUMERIC,
-                       "adam: the gradient norm is not finite at step %lld; the weights were left as they were",
-                       (long long)step);
-    const char *name = adam->chunks.params[param]->name;
-    return hg_fail(HG_NUMERIC,
-                   "adam: the gradient of %s is not finite at step %lld; the weights were left as they were",
-                   name ? name : "a parameter", (long long)step);
+    if (param == ADAM_LOSS) return hg_adam_bad_loss(adam->state.loss, step);
+    const char *name = param == ADAM_NORM ? NULL : adam->chunks.params[param]->name;
+    return hg_fail(HG_NUMERIC, "adam: the gradient%s%s is not finite at step %lld; the weights were left as they were",
+                   param == ADAM_NORM ? " norm" : " of ",
+                   param == ADAM_NORM ? ""
+                   : name             ? name
+                                      : "a parameter",
+                   (long long)step);
 }
+
+void hg_adam_watch(hg_adam *adam, const hg_tensor *loss) { adam->watched = loss; }
 
 /* The host's: the norm from its parts, at once. */
 static hg_status clip(hg_adam *adam)
@@ -82,7 +93,7 @@ static hg_status clip(hg_adam *adam)
     if (isfinite(norm)) return HG_OK;
     int64_t c = 0;
     while (c < n && isfinite(partial[c])) c++;
-    return refuse(adam, adam->step + 1, c < n ? adam->chunks.chunks[c].param : -1);
+    return refuse(adam, adam->step + 1, c < n ? adam->chunks.chunks[c].param : ADAM_NORM);
 }
 
 hg_status hg_adam_check(hg_adam *adam, double *gradient_norm)
@@ -90,12 +101,11 @@ hg_status hg_adam_check(hg_adam *adam, double *gradient_norm)
     if (adam->found) {
         HG_TRY(hg_tensor_read(adam->found, &adam->state));
         if (adam->state.failed_step) {
-            const adam_state found = adam->state;
-            adam->step = found.failed_step - 1; /* no step was made since */
-            adam->state = (adam_state){ .norm = found.norm };
-            HG_TRY(hg_tensor_write(adam->found, &adam->state));
-            if (gradient_norm) *gradient_norm = found.norm;
-            return refuse(adam, found.failed_step, found.failed_param);
+            const adam_state none = { 0 };
+            adam->step = adam->state.failed_step - 1; /* no step was made since */
+            HG_TRY(hg_tensor_write(adam->found, &none));
+            if (gradient_norm) *gradient_norm = adam->state.norm;
+            return refuse(adam, adam->state.failed_step, adam->state.failed_param);
         }
     }
     if (gradient_norm) *gradient_norm = adam->state.norm;
@@ -106,7 +116,9 @@ hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double
                        double weight_decay, double most, double *gradient_norm)
 {
     hg_ctx *ctx = adam->ctx;
+    const hg_tensor *loss = adam->watched;
     const hg_chunk *chunks = hg_chunks_table(&adam->chunks, true);
+    adam->watched = NULL;
     if (!chunks) return HG_INVALID;
     const double t = (double)(adam->step + 1);
     adam->numbers = (adam_numbers){ .clip = most,
@@ -127,7 +139,9 @@ hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double
                              .partial = adam->partial->data,
                              .m = adam->m->data,
                              .v = adam->v->data,
-                             .n_chunks = adam->chunks.n_chunks };
+                             .n_chunks = adam->chunks.n_chunks,
+                             .loss = loss && loss->dtype == HG_F32 ? loss->data : NULL,
+                             .loss_f64 = loss && loss->dtype == HG_F64 ? loss->data : NULL };
     hg_profile_begin(ctx, "optimiser", "gradient norm");
     HG_TRY(hg_launch(ctx, &adam_norm_kernel, args.n_chunks, &args));
     hg_profile_end(ctx, 4 * adam->chunks.total);

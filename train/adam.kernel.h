@@ -10,9 +10,10 @@ typedef struct {
     float beta1, beta2, rate, correction2, epsilon, decay;
 } adam_numbers;
 
-/* What a step finds. Once a gradient was not finite, later steps leave everything as it is too, until the host has seen it. */
+/* What a step finds. Once a gradient (or the loss) was not finite, later steps leave everything as it is too, until the host has seen it. */
+enum { ADAM_NORM = -1, ADAM_LOSS = -2 }; /* in place of a parameter */
 typedef struct {
-    double norm;
+    double norm, loss;
     int64_t failed_step, failed_param; /* 0: none; the first one */
     float scale;                       /* of the gradient: clipping */
 } adam_state;
@@ -24,6 +25,8 @@ typedef struct {
     double *partial; /* [chunks] squares of the gradient */
     float *m, *v;
     int64_t n_chunks;
+    const float *loss; /* f32 or f64; both NULL: not looked at */
+    const double *loss_f64;
 } adam_args;
 
 #ifdef HG_CUDA
@@ -48,11 +51,14 @@ HG_BODY void adam_clip_block(const adam_args *p, int64_t index)
     const double norm = sqrt(hg_block_sum(sum)), clip = p->numbers->clip;
     if (threadIdx.x != 0 || p->state->failed_step) return;
     p->state->norm = norm;
+    p->state->loss = p->loss ? (double)*p->loss : p->loss_f64 ? *p->loss_f64 : 0;
     p->state->scale = (float)(clip > 0 && norm > clip ? clip / norm : 1);
-    if (adam_finite(norm)) return;
+    if (adam_finite(norm) && adam_finite(p->state->loss)) return;
     int64_t c = 0;
-    while (c + 1 < p->n_chunks && adam_finite(p->partial[c])) c++;
-    p->state->failed_param = adam_finite(p->partial[c]) ? -1 : p->chunks[c].param;
+    while (c < p->n_chunks && adam_finite(p->partial[c])) c++;
+    p->state->failed_param = !adam_finite(p->state->loss) ? ADAM_LOSS
+                             : c < p->n_chunks            ? p->chunks[c].param
+                                                          : ADAM_NORM;
     p->state->failed_step = p->numbers->step;
 }
 

@@ -21,6 +21,9 @@ hg_status hg_average_exchange(hg_average *average);                         /* i
 hg_status hg_average_save(const hg_average *average, hg_h5 *file);
 hg_status hg_average_load(hg_average *average, hg_h5 *file);
 
+/* On a device: the next step is not made where this loss is not finite either; hg_adam_check says so. */
+void hg_adam_watch(hg_adam *adam, const hg_tensor *loss);
+hg_status hg_adam_bad_loss(double loss, int64_t step); /* HG_NUMERIC with its sentence */
 hg_status hg_adam_save(const hg_adam *adam, hg_h5 *file);
 hg_status hg_adam_load(hg_adam *adam, hg_h5 *file);
 /* A tensor of any device as a dataset; read into one of the same shape. */

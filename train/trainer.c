@@ -74,23 +74,13 @@ typedef struct {
 
 static double elapsed(const run *r) { return r->state.seconds + seconds_now() - r->started; }
 
-static hg_status loss_is_bad(const run *r, int64_t step)
-{
-    return hg_fail(HG_NUMERIC,
-                   "trainer: the loss is %g at step %lld; try a smaller learning rate, or --trap-nan to see where it "
-                   "comes from",
-                   r->loss, (long long)step);
-}
-
 /* What a device has found, and the loss of the last step: waits for it. */
 static hg_status look(run *r, double *norm)
 {
     if (hg_ctx_host(r->ctx)) return HG_OK;
-    const hg_status status = hg_adam_check(r->adam, norm);
-    if (!r->loss_tensor) return status;
-    r->loss = hg_tensor_item(r->loss_tensor, 0);
+    if (r->loss_tensor) r->loss = hg_tensor_item(r->loss_tensor, 0);
     r->loss_tensor = NULL;
-    return isfinite(r->loss) ? status : loss_is_bad(r, r->state.step);
+    return hg_adam_check(r->adam, norm);
 }
 
 static hg_status save(run *r, const char *path)
@@ -152,8 +142,8 @@ static hg_status compute_step(run *r, hg_report *report, double *norm, double *r
     HG_TRY(hg_ctx_status(r->ctx));
     if (!loss) return hg_fail(HG_INVALID, "trainer: the task made no loss at step %lld", (long long)r->state.step + 1);
     if (host) r->loss = hg_tensor_item(loss, 0);
-    if (host && !isfinite(r->loss)) return loss_is_bad(r, r->state.step + 1);
-    if (!host) r->loss_tensor = loss;
+    if (host && !isfinite(r->loss)) return hg_adam_bad_loss(r->loss, r->state.step + 1);
+    if (!host) hg_adam_watch(r->adam, r->loss_tensor = loss);
     hg_profile_begin(r->ctx, "step", "backward");
     HG_TRY(hg_backward(r->ctx, loss));
     hg_profile_end(r->ctx, 0);
