@@ -73,10 +73,12 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16, HG_TF32 }; /* as base.h has them */
 #define HG_SIMD_ _Pragma("omp simd")
 #if defined(__has_builtin) /* without it padding may differ from step to step, and such a step is not replayed */
 #if __has_builtin(__builtin_clear_padding)
+#define HG_CLEARS_PADDING          1
 #define HG_CLEAR_PADDING(pointer_) __builtin_clear_padding(pointer_)
 #endif
 #endif
-#ifndef HG_CLEAR_PADDING
+#ifndef HG_CLEARS_PADDING
+#define HG_CLEARS_PADDING          0
 #define HG_CLEAR_PADDING(pointer_) (void)(pointer_)
 #endif
 #ifndef HG_KERNEL_SOURCE /* a file that the library carries, or a text (HG_KERNEL_TEXT) */

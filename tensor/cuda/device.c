@@ -118,23 +118,16 @@ typedef struct {
     unsigned blocks, threads, shared, unused[3]; /* a multiple of 16 bytes, no padding */
 } launch_head;
 
-static hg_status launch_with(hg_cuda_device *d, const launch_head *l, const void *args)
+static hg_status launch_now(hg_cuda_device *d, const void *args)
 {
+    const launch_head *l = args;
     int64_t n = l->n;
-    void *params[] = { (void *)(uintptr_t)args, &n };
+    void *params[] = { (void *)(uintptr_t)(l + 1), &n };
     return hg_cuda_check(
         d->api,
         d->api->cuLaunchKernel(l->function, l->blocks, 1, 1, l->threads, 1, 1, l->shared, d->stream, params, NULL),
         l->name);
 }
-
-static hg_status launch_now(hg_cuda_device *d, const void *args)
-{
-    const launch_head *l = args;
-    return launch_with(d, l, l + 1);
-}
-
-enum { PARAMETERS = 4096 }; /* bytes that a kernel of CUDA takes at most */
 
 static hg_status launch(hg_device *device, int threads, const hg_kernel *kernel, int64_t n, const void *args)
 {
@@ -154,19 +147,14 @@ static hg_status launch(hg_device *device, int threads, const hg_kernel *kernel,
     d->device.counts.launches++;
     d->last = kernel->name;
     d->since++;
-    if (!d->recording) { /* padding that points nowhere either way: the emulated driver looks for pointers of the host */
-        _Alignas(16) unsigned char copy[PARAMETERS];
-        if (!kernel->clear || kernel->args_size > sizeof copy) return launch_with(d, &l, args);
-        memcpy(copy, args, kernel->args_size);
-        kernel->clear(copy);
-        return launch_with(d, &l, copy);
-    }
     launch_head *kept = hg_cuda_keep(d, launch_now, sizeof l + kernel->args_size);
     if (!kept) return HG_MEMORY;
     *kept = l;
     memcpy(kept + 1, args, kernel->args_size);
     if (kernel->clear) kernel->clear(kept + 1);
-    return HG_OK;
+    if (d->recording) return HG_OK;
+    d->calls_size = 0;
+    return launch_now(d, kept);
 }
 
 static bool launches(const hg_device *device, const hg_kernel *kernel)
