@@ -147,6 +147,8 @@ hg_status hg_cache_seal(const char *from, const char *to, hg_cache_key key)
         return HG_MEMORY;
     }
     memcpy(grown + size, &s, sizeof s);
+    struct stat about;
+    if (lstat(to, &about) == 0 && S_ISLNK(about.st_mode)) unlink(to); /* what it points to is not the cache's */
     hg_status status = hg_file_write(to, grown, size + sizeof s);
     hg_free(grown);
     return status;
