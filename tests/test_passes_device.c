@@ -200,11 +200,80 @@ static void test_no_reach(void **state)
     scene_free(&s);
 }
 
+/* A step that is recorded and replayed, with stiffness and reach as tensors that learn and the positions and grooms of the
+ * frames new in every step: the same bits as run call by call, and the host waits for nothing. */
+enum { STEPS = 6 };
+
+static void run_steps(const scene *s, bool record, double *gradients /* [STEPS, 3 B S V + 3] */,
+                      hg_device_counts *counts)
+{
+    hg_ctx *ctx;
+    hg_physics *physics;
+    const hg_term terms[] = { { hg_energy_find("self_collision"), 1.5, NULL, NULL },
+                              { hg_energy_find("adhesion"), 0.5, NULL, NULL } };
+    const int64_t shape[4] = { s->B, s->S, s->V, 3 }, n = s->B * s->S * s->V * 3;
+    const double values[2] = { 2e-9, 0.003 };
+    ok(hg_ctx_create(&ctx, &(hg_ctx_options){ .device = test_device(), .threads = 1 }), "steps");
+    ok(hg_physics_create(&physics, ctx, HG_F64, terms, 2, &s->data), "steps");
+    hg_tensor *x = hg_tensor_create(ctx, HG_F64, 4, shape), *learnt[2];
+    double *at = numbers(n);
+    for (int i = 0; i < 2; i++) {
+        learnt[i] = hg_tensor_create(ctx, HG_F64, 0, NULL);
+        ok(hg_tensor_write(learnt[i], &values[i]), "steps");
+        ok(hg_require_grad(learnt[i]), "steps");
+    }
+    ok(hg_require_grad(x), "steps");
+    const hg_frame_input inputs[] = { { "self_collision.stiffness", learnt[0] }, { "self_collision.h", learnt[1] } };
+    for (int step = 0; step < STEPS; step++) {
+        int32_t groom[8];
+        for (int64_t i = 0; i < n; i++) at[i] = s->x[i] + 2e-4 * noise(80 + (uint64_t)step, i);
+        for (int64_t b = 0; b < s->B; b++) groom[b] = (int32_t)((b + step) % s->G);
+        const hg_frame frame = { .groom = groom, .dt = 1.0 / 30, .inputs = inputs, .n_inputs = 2 };
+        hg_step_reset(ctx);
+        const int64_t waits = hg_ctx_counts(ctx).waits;
+        if (record) ok(hg_step_record(ctx), "steps");
+        ok(hg_tensor_write(x, at), "steps");
+        hg_tensor *energy = hg_physics_energy(physics, ctx, &frame, x, NULL);
+        ok(hg_backward(ctx, energy), "steps");
+        if (record) ok(hg_step_run(ctx), "steps");
+        assert_true(!record || hg_ctx_counts(ctx).waits == waits);
+        double *to = gradients + step * (n + 3);
+        ok(hg_tensor_read(hg_grad(x), to), "steps");
+        for (int i = 0; i < 2; i++) ok(hg_tensor_read(hg_grad(learnt[i]), to + n + i), "steps");
+        ok(hg_tensor_read(energy, to + n + 2), "steps");
+    }
+    *counts = hg_ctx_counts(ctx);
+    hg_free(at);
+    for (int i = 0; i < 2; i++) hg_tensor_destroy(learnt[i]);
+    hg_tensor_destroy(x);
+    hg_physics_destroy(physics);
+    hg_ctx_destroy(ctx);
+}
+
+static void test_recorded(void **state)
+{
+    (void)state;
+    scene s;
+    scene_make(&s, 2, 3, 9, 7, 0.2);
+    const int64_t n = STEPS * (s.B * s.S * s.V * 3 + 3);
+    double *plain = numbers(n), *recorded = numbers(n);
+    hg_device_counts counts;
+    run_steps(&s, false, plain, &counts);
+    run_steps(&s, true, recorded, &counts);
+    assert_memory_equal(plain, recorded, (size_t)n * sizeof(double));
+    for (int64_t step = 1; step <= STEPS; step++) assert_true(recorded[step * n / STEPS - 1] > 0);
+    if (test_device()) assert_true(counts.replays >= STEPS - 2);
+    print_message("    %d launches in %d steps, %d replays\n", (int)counts.launches, STEPS, (int)counts.replays);
+    hg_free(plain);
+    hg_free(recorded);
+    scene_free(&s);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_variants),    cmocka_unit_test(test_given),    cmocka_unit_test(test_empty),
-        cmocka_unit_test(test_differences), cmocka_unit_test(test_no_reach),
+        cmocka_unit_test(test_differences), cmocka_unit_test(test_no_reach), cmocka_unit_test(test_recorded),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
