@@ -295,7 +295,8 @@ static hg_status check_input(subject *of, const hg_energy_input *wanted, bool un
     const hg_status status = hg_gradcheck(of->ctx, energy_of, of, wanted ? 2 : 1, in, &options, result);
     const hg_tensor *gradient = hg_grad(leaf);
     *no_effect = gradient != NULL;
-    for (int64_t i = 0; *no_effect && i < hg_tensor_count(leaf); i++) *no_effect = hg_tensor_item(gradient, i) == 0;
+    if (*no_effect) HG_TRY(hg_tensor_numbers(gradient, of->values));
+    for (int64_t i = 0; *no_effect && i < hg_tensor_count(leaf); i++) *no_effect = of->values[i] == 0;
     if (*no_effect && status == HG_NUMERIC && !result->text[0])
         snprintf(result->text, sizeof result->text,
                  "the gradient in %s is zero everywhere, on hair that is bent, turned, moving and near a body: is it "

@@ -120,9 +120,13 @@ static hg_status gradient_of(const loss *l, const loss_array *a, double **values
     if (a->tensor[1]) {
         for (int c = 0; c < 3; c++) (*values)[c] = hg_tensor_item(hg_grad(a->tensor[c]), 0);
     } else if (a->count == 1) {
-        for (int64_t i = 0; i < n; i++) (*values)[0] += hg_tensor_item(first, i);
+        double *each = hg_alloc((size_t)n + 1, sizeof *each);
+        hg_status status = each ? hg_tensor_numbers(first, each) : HG_MEMORY;
+        for (int64_t i = 0; status == HG_OK && i < n; i++) (*values)[0] += each[i];
+        hg_free(each);
+        return status;
     } else {
-        for (int64_t i = 0; i < n; i++) (*values)[i] = hg_tensor_item(first, i);
+        return hg_tensor_numbers(first, *values);
     }
     return HG_OK;
 }

@@ -333,22 +333,27 @@ static hg_status measure_body_distance(loss *l, double *distance)
                        "%s: dataset \"body_distance\" [S,V] is missing: %s reads it; it is also made of "
                        "\"rest_body_vertices\" [N,3] and \"body_faces\" [F,3]",
                        l->path, who(l));
+    const int64_t vertices[2] = { n, 3 }, body[2] = { hg_body_tree_vertices(l->body), 3 };
     hg_body_refit *refit = NULL;
-    int32_t *triangle = hg_alloc((size_t)n + 1, sizeof *triangle);
     double *point = hg_alloc((size_t)n * 3 + 1, sizeof *point), *normal = hg_alloc((size_t)n * 3 + 1, sizeof *normal);
-    hg_status status = triangle && point && normal ? HG_OK : HG_MEMORY;
+    hg_tensor *triangles = hg_tensor_make(l->ctx, HG_I32, 1, &n), *points = hg_tensor_make(l->ctx, HG_F64, 2, vertices),
+              *normals = hg_tensor_make(l->ctx, HG_F64, 2, vertices),
+              *at = hg_tensor_from(l->ctx, HG_F64, 2, vertices, l->data.rest),
+              *moved = hg_tensor_from(l->ctx, HG_F64, 2, body, rest_body->values);
+    hg_status status = point && normal && triangles && points && normals && at && moved ? HG_OK : HG_MEMORY;
+    if (status == HG_OK) status = hg_tensor_fill(triangles, -1);
     if (status == HG_OK) status = hg_body_refit_create(&refit, l->body, HG_F64);
-    if (status == HG_OK) status = hg_body_refit_update(l->ctx, refit, rest_body->values);
-    for (int64_t i = 0; triangle && i < n; i++) triangle[i] = -1;
+    if (status == HG_OK) status = hg_body_refit_update(l->ctx, refit, moved->data);
     if (status == HG_OK)
-        status = hg_body_closest(l->ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, l->data.rest, triangle, point,
-                                 normal);
+        status = hg_body_closest(l->ctx, refit, HG_CONTACT_EXACT, (double)INFINITY, n, at->data, triangles->data,
+                                 points->data, normals->data);
+    if (status == HG_OK) status = hg_tensor_numbers(points, point);
+    if (status == HG_OK) status = hg_tensor_numbers(normals, normal);
     for (int64_t i = 0; status == HG_OK && i < n; i++) {
         distance[i] = 0;
         for (int c = 0; c < 3; c++) distance[i] += normal[3 * i + c] * (l->data.rest[3 * i + c] - point[3 * i + c]);
     }
     hg_body_refit_destroy(refit);
-    hg_free(triangle);
     hg_free(point);
     hg_free(normal);
     return status;
@@ -471,14 +476,12 @@ static hg_tensor *tensor_of(loss *l, int rank, const int64_t *shape, const doubl
     hg_tensor *tensor = hg_tensor_make(l->ctx, l->dtype, rank, shape);
     if (!tensor) return NULL;
     const int64_t n = hg_tensor_count(tensor);
-    for (int64_t i = 0; i < n; i++) {
-        if (l->dtype == HG_F32)
-            ((float *)tensor->data)[i] = (float)values[i];
-        else
-            ((double *)tensor->data)[i] = values[i];
-    }
-    hg_tensor_touch(tensor);
-    tensor->name = name;
+    float *narrow = l->dtype == HG_F32 ? hg_alloc((size_t)n + 1, sizeof *narrow) : NULL;
+    if (l->dtype == HG_F32 && !narrow) return NULL;
+    for (int64_t i = 0; narrow && i < n; i++) narrow[i] = (float)values[i];
+    if (n && hg_tensor_write(tensor, narrow ? (const void *)narrow : values) != HG_OK) tensor = NULL;
+    hg_free(narrow);
+    if (tensor) tensor->name = name;
     return tensor;
 }
 

@@ -45,12 +45,14 @@ static bool overflows(const suspect *of, double force)
     return of->dtype == HG_F32 ? !isfinite((float)arrives) : !isfinite(arrives);
 }
 
-static void set_item(hg_tensor *tensor, int64_t i, double value)
+/* Three numbers of a tensor from number `at` on. */
+static hg_status set_vertex(hg_tensor *tensor, int64_t at, const double value[3])
 {
-    if (tensor->dtype == HG_F32)
-        ((float *)tensor->data)[i] = (float)value;
-    else
-        ((double *)tensor->data)[i] = value;
+    const bool wide = tensor->dtype == HG_F64;
+    const float narrow[3] = { (float)value[0], (float)value[1], (float)value[2] };
+    hg_tensor *vertex = hg_tensor_wrap(tensor->ctx, tensor->dtype, 1, (int64_t[]){ 3 },
+                                       (char *)tensor->data + (size_t)at * hg_dtype_size(tensor->dtype));
+    return vertex ? hg_tensor_write(vertex, wide ? (const void *)value : narrow) : HG_MEMORY;
 }
 
 /* The value of the strand is not finite, its forces are: the first vertex with which, moved to its place at rest or beside its
@@ -64,15 +66,12 @@ static hg_status find_vertex(suspect *of, hg_physics *physics, double *energies)
     for (int64_t v = 0; v < V; v++)
         for (int place = 0; place < 2; place++) {
             HG_TRY(hg_tensor_copy(moved, of->x));
-            for (int c = 0; c < 3; c++) {
-                const int64_t at = (i * V + v) * 3 + c;
-                set_item(moved, at,
-                         place == 0 ? of->data->rest[((groom * S + of->s) * V + v) * 3 + c]
-                                    : hg_tensor_item(of->x, v > 0   ? at - 3
-                                                            : V > 1 ? at + 3
-                                                                    : at) +
-                                          1e-3 * (1 - 0.4 * c));
-            }
+            const int64_t at = (i * V + v) * 3, beside = v > 0 ? at - 3 : V > 1 ? at + 3 : at;
+            double to[3];
+            for (int c = 0; c < 3; c++)
+                to[c] = place == 0 ? of->data->rest[((groom * S + of->s) * V + v) * 3 + c]
+                                   : hg_tensor_item(of->x, beside + c) + 1e-3 * (1 - 0.4 * c);
+            HG_TRY(set_vertex(moved, at, to));
             HG_TRY(hg_physics_evaluate(physics, of->ctx, &of->frame, moved, NULL, energies, NULL));
             if (!isfinite(energies[i])) continue;
             of->v = v;
@@ -87,18 +86,20 @@ static hg_status look(suspect *of, bool *found)
 {
     const int64_t B = of->x->shape[0], S = of->x->shape[1], V = of->x->shape[2];
     hg_physics *physics = NULL;
-    double *energies = hg_alloc((size_t)(B * S) + 1, sizeof *energies);
+    double *energies = hg_alloc((size_t)(B * S) + 1, sizeof *energies),
+           *forces = hg_alloc((size_t)(B * S * V * 3) + 1, sizeof *forces);
     hg_tensor *force = hg_tensor_make(of->ctx, of->dtype, 4, of->x->shape);
-    hg_status status = energies && force ? HG_OK : HG_MEMORY;
+    hg_status status = energies && forces && force ? HG_OK : HG_MEMORY;
     *found = false;
     if (status == HG_OK) status = hg_physics_create(&physics, of->ctx, of->dtype, of->term, 1, of->data);
-    if (status == HG_OK) status = hg_physics_backend(physics, HG_BACKEND_INTERPRETER);
+    if (status == HG_OK && hg_ctx_host(of->ctx)) status = hg_physics_backend(physics, HG_BACKEND_INTERPRETER);
     if (status == HG_OK) status = hg_physics_evaluate(physics, of->ctx, &of->frame, of->x, NULL, energies, force);
+    if (status == HG_OK) status = hg_tensor_numbers(force, forces);
     for (int64_t i = 0; status == HG_OK && i < B * S && !*found; i++) {
         double largest = -1;
         of->in_force = false;
         for (int64_t k = 0; k < V * 3 && !of->in_force; k++) {
-            const double f = fabs(hg_tensor_item(force, i * V * 3 + k));
+            const double f = fabs(forces[i * V * 3 + k]);
             of->in_force = overflows(of, f);
             if (!of->in_force && f <= largest) continue;
             of->v = k / 3;
@@ -112,6 +113,7 @@ static hg_status look(suspect *of, bool *found)
     if (*found && !of->in_force) status = find_vertex(of, physics, energies);
     hg_physics_destroy(physics);
     hg_free(energies);
+    hg_free(forces);
     return status;
 }
 
@@ -131,6 +133,20 @@ static hg_status write_groom(const suspect *of, hg_h5 *file, const char *name, c
     return hg_h5_write(file, name, HG_F64, width > 1 ? 3 : 2, shape, from);
 }
 
+/* The numbers of a tensor from `first` on, in a shape. */
+static hg_status write_part(hg_h5 *file, const char *name, const hg_tensor *tensor, int rank, const int64_t *shape,
+                            int64_t first)
+{
+    char *all = hg_alloc(hg_tensor_bytes(tensor) + 1, 1);
+    hg_status status = all ? HG_OK : HG_MEMORY;
+    if (status == HG_OK && hg_tensor_count(tensor)) status = hg_tensor_read(tensor, all);
+    if (status == HG_OK)
+        status =
+            hg_h5_write(file, name, tensor->dtype, rank, shape, all + (size_t)first * hg_dtype_size(tensor->dtype));
+    hg_free(all);
+    return status;
+}
+
 /* A tensor [B,S,...] or [B,N,3] as it is, or of one frame, or of one strand of it. */
 static hg_status write_rows(const suspect *of, hg_h5 *file, const char *name, const hg_tensor *tensor, bool strands)
 {
@@ -146,16 +162,13 @@ static hg_status write_rows(const suspect *of, hg_h5 *file, const char *name, co
         first = of->b * row + (one ? of->s * count : 0);
         if (one) shape[1] = 1;
     }
-    const size_t size = hg_dtype_size(tensor->dtype);
-    return hg_h5_write(file, name, tensor->dtype, tensor->rank, shape,
-                       (const char *)tensor->data + (size_t)first * size);
+    return write_part(file, name, tensor, tensor->rank, shape, first);
 }
 
 /* A number of a parameter or the time step, scalar, [S] or [B,S]: what the strand has, or all. */
 static hg_status write_number(const suspect *of, hg_h5 *file, const char *name, const hg_tensor *tensor)
 {
-    if (of->whole && tensor->rank > 0)
-        return hg_h5_write(file, name, tensor->dtype, tensor->rank, tensor->shape, tensor->data);
+    if (of->whole && tensor->rank > 0) return write_part(file, name, tensor, tensor->rank, tensor->shape, 0);
     const int64_t at = tensor->rank == 0 ? 0 : tensor->rank == 1 ? of->s : of->b * tensor->shape[1] + of->s;
     const double value = hg_tensor_item(tensor, at);
     return hg_h5_write(file, name, HG_F64, 0, NULL, &value);
@@ -200,8 +213,8 @@ static hg_status write_groom_value(const suspect *of, hg_h5 *file, const char *n
     const int64_t n = hg_tensor_count(given);
     double *values = hg_alloc((size_t)n + 1, sizeof *values);
     if (!values) return HG_MEMORY;
-    for (int64_t i = 0; i < n; i++) values[i] = hg_tensor_item(given, i);
-    const hg_status status = write_groom(of, file, name, values, width);
+    hg_status status = hg_tensor_numbers(given, values);
+    if (status == HG_OK) status = write_groom(of, file, name, values, width);
     hg_free(values);
     return status;
 }
