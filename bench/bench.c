@@ -24,6 +24,7 @@ static const struct {
     { "self_collision", bench_self_collision },
     { "body_collision", bench_body_collision },
     { "network", bench_network },
+    { "decoder", bench_decoder },
     { "step", bench_step },
     { "inference", bench_inference },
 };

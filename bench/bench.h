@@ -81,6 +81,7 @@ void bench_energy(bench *b, const char *name); /* one that is asked for, a plug-
 void bench_self_collision(bench *b);
 void bench_body_collision(bench *b);
 void bench_network(bench *b);
+void bench_decoder(bench *b);
 void bench_step(bench *b);
 void bench_inference(bench *b);
 void bench_step_memory(bench *b); /* prints bytes; in a process of its own */

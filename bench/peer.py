@@ -261,6 +261,33 @@ def network():
     return f"PyTorch {torch.__version__}", found
 
 
+def decoder():
+    functional = torch.nn.functional
+    weights, biases = ([tensor(f"{what}{i}").requires_grad_() for i in range(4)] for what in ("weight", "bias"))
+    latent = tensor("latent").requires_grad_()
+
+    def decode():
+        x = latent
+        for i in range(4):
+            if i < 3:
+                x = functional.interpolate(x, scale_factor=2, mode="bilinear", align_corners=False)
+            x = functional.conv2d(x, weights[i], biases[i], padding=1)
+            if i < 3:
+                x = functional.silu(x)
+        return x
+
+    def loss():
+        return 0.5 * decode().square().sum()
+
+    def half():
+        with torch.autocast(DEVICE, dtype=torch.bfloat16):
+            y = decode()
+        return 0.5 * y.float().square().sum()
+
+    parameters = [latent, *weights, *biases]
+    return f"PyTorch {torch.__version__}", {"eager": with_backward(loss, parameters), "bf16": with_backward(half, parameters)}
+
+
 def step():
     """A training step: the network for three frames, the gradient for the last, eight energies, Adam with clipping.
     Closest triangles by SciPy's tree over the triangles' centres, since a search over all triangles would take minutes."""
@@ -341,7 +368,7 @@ def resident(key):
 
 
 memory = {}
-text, sides = {"energies": energies, "self_collision": self_collision, "network": network, "step": step,
+text, sides = {"energies": energies, "self_collision": self_collision, "network": network, "decoder": decoder, "step": step,
                "inference": inference}[row]()
 if not sides:
     say(f"none {text}")
