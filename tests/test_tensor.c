@@ -1,4 +1,5 @@
 /* tensor/: arena, errors, tensors, conversions, kernels. */
+#include "device.h"
 #include "test.h"
 
 #include "tensor/tensor.h"
@@ -6,7 +7,8 @@
 static hg_ctx *make_ctx(int threads)
 {
     hg_ctx *ctx;
-    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 7 }), HG_OK);
+    assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = threads, .seed = 7, .device = test_device() }),
+                     HG_OK);
     return ctx;
 }
 
@@ -33,6 +35,33 @@ static void test_arena_grows_and_settles(void **state)
         if (step > 1) assert_int_equal(hg_step_reserved(ctx), reserved);
         assert_true(hg_step_bytes(ctx) <= hg_step_high_water(ctx));
         assert_true(hg_step_high_water(ctx) <= hg_step_reserved(ctx));
+    }
+    hg_ctx_destroy(ctx);
+}
+
+/* What kernels read and write is of the device, also under guards, which are patterns of the host alone. */
+static void test_device_arena(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(1);
+    size_t reserved = 0;
+    for (int step = 0; step < 6; step++) {
+        hg_step_guard(ctx, step >= 4);
+        hg_step_reset(ctx);
+        hg_tensor *all[20];
+        for (int i = 0; i < 20; i++) {
+            all[i] = hg_tensor_make(ctx, HG_F32, 1, (int64_t[]){ (i * 37 % 11) * 25000 + 1 });
+            assert_non_null(all[i]);
+            assert_int_equal((uintptr_t)all[i]->data % 64, 0);
+            assert_int_equal(hg_tensor_fill(all[i], i), HG_OK);
+        }
+        for (int i = 0; i < 20; i++) {
+            const int64_t last = hg_tensor_count(all[i]) - 1;
+            assert_true(hg_tensor_item(all[i], 0) == i && hg_tensor_item(all[i], last) == i); /* nothing overlaps */
+        }
+        assert_int_equal(hg_step_check(ctx), HG_OK);
+        if (step == 1) reserved = hg_step_reserved(ctx);
+        if (step > 1 && step < 4) assert_int_equal(hg_step_reserved(ctx), reserved);
     }
     hg_ctx_destroy(ctx);
 }
@@ -134,7 +163,8 @@ static void test_tensors(void **state)
     char text[96];
     assert_int_equal(hg_ctx_threads(ctx), 2);
     assert_int_equal(hg_ctx_seed(ctx), 7);
-    assert_string_equal(hg_ctx_device(ctx), "cpu");
+    assert_string_equal(hg_ctx_device(ctx), test_device() ? test_device() : "cpu");
+    assert_true(hg_ctx_host(ctx) == !test_device());
     hg_tensor *a = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ 3, 4 });
     assert_string_equal(hg_shape_text(a, text), "f32 [3,4]");
     assert_string_equal(hg_shape_text(NULL, text), "NULL");
@@ -215,6 +245,7 @@ static void count_cpu(const void *memory, int64_t first, int64_t last)
 static void test_launch_covers_blocks(void **state)
 {
     (void)state;
+    if (test_device()) skip(); /* a body of the host, which writes to memory of the host */
     static const hg_kernel kernel = {
         .name = "count", .args_size = sizeof(count_args), .cpu = count_cpu, .block = 100
     };
@@ -237,6 +268,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_arena_grows_and_settles),
+        cmocka_unit_test(test_device_arena),
         cmocka_unit_test(test_mark_and_rewind),
         cmocka_unit_test(test_guards),
         cmocka_unit_test(test_impossible_sizes),
