@@ -1,0 +1,64 @@
+#!/bin/sh
+# hairgrad devices and --device: what is said where there is no GPU, and that every command that computes takes one.
+# Usage: test_devices.sh BUILD
+set -eu
+hairgrad=$1/hairgrad
+emulator=$1/tests/emulator
+folder=$(mktemp -d)
+trap 'rm -rf "$folder"' EXIT
+cd "$folder"
+
+fail() { echo "FAILED: $*" >&2; exit 1; }
+
+# It must end with $1 and one sentence that has $2 in it.
+refuses() {
+    code=$1; text=$2; shift 2
+    set +e
+    "$@" > out 2> err
+    got=$?
+    set -e
+    [ "$got" = "$code" ] || fail "$*: ended with $got, expected $code: $(cat err)"
+    grep -qF -- "$text" err || fail "$*: \"$text\" is not in: $(cat err)"
+    [ "$(grep -c . err)" = 1 ] || fail "$*: more than one sentence: $(cat err)"
+}
+
+"$hairgrad" devices > out || fail "devices"
+grep -Eq '^cpu +[0-9]+ threads' out || fail "devices: no cpu in: $(cat out)"
+grep -Eq '^cuda(:0)? +' out || fail "devices: nothing of cuda in: $(cat out)"
+"$hairgrad" devices --json > devices.json || fail "devices --json"
+if command -v python3 > /dev/null; then
+    python3 - <<'PYTHON' || fail "devices --json: $(cat devices.json)"
+import json
+cpu, *others = json.load(open("devices.json"))
+assert cpu["name"] == "cpu" and cpu["memory"] > 0 and cpu["why_not"] == "" and others
+assert all(o["name"].startswith("cuda") and (o["why_not"] or o["memory"] > 0) for o in others)
+PYTHON
+fi
+
+for command in train evaluate drape loss gradcheck profile fit replay export; do
+    "$hairgrad" $command --help | grep -q -- '--device NAME' || fail "$command has no --device"
+done
+refuses 2 'unknown option "--device"' "$hairgrad" make bust --device cpu -o bust.h5
+refuses 1 'device "gpu" is not known: cpu, cuda, cuda:NUMBER and auto are' "$hairgrad" gradcheck stretch --device gpu
+"$hairgrad" gradcheck matmul --device cpu > /dev/null || fail "gradcheck --device cpu"
+"$hairgrad" gradcheck matmul --device auto > /dev/null || fail "gradcheck --device auto"
+if grep -q '^cuda .*not usable: ' out; then
+    why=$(sed -n 's/^cuda .*not usable: //p' out)
+    refuses 1 "cuda: $why" "$hairgrad" gradcheck matmul --device cuda
+fi
+
+# On the emulated device, where there is one.
+if [ -f "$emulator/libcuda.so.1" ]; then
+    LD_LIBRARY_PATH=$emulator
+    export LD_LIBRARY_PATH
+    "$hairgrad" devices > out
+    grep -q '^cuda .*emulated GPU, compute capability' out || fail "devices, emulated: $(cat out)"
+    grep -q 'driver for CUDA 13.0, NVRTC ' out || fail "devices, emulated: $(cat out)"
+    "$hairgrad" gradcheck matmul --device cuda > /dev/null || fail "gradcheck --device cuda"
+    refuses 1 'cuda: device 1 was asked for, but there is 1' "$hairgrad" gradcheck matmul --device cuda:1
+    EMULATOR_NO_DEVICE=1 "$hairgrad" devices > out
+    grep -q '^cuda .*not usable: the NVIDIA driver found no GPU that it can use' out || fail "no GPU: $(cat out)"
+    EMULATOR_NO_DEVICE=1 "$hairgrad" gradcheck matmul --device auto > /dev/null || fail "--device auto without a GPU"
+else
+    echo "skip: there is no emulated device here"
+fi
