@@ -47,24 +47,23 @@ static inline uint32_t lanes_within_f32(const float *distance2, float bound)
 struct hg_body_refit {
     const hg_body_tree *tree;
     hg_dtype dtype;
-    int64_t frames;
-    bool ready;
-    hg_body_fit fit; /* pointers into what follows: made at the first update, where the context computes */
+    int64_t most, frames; /* room; of the last update, 0: there was none, or it failed */
+    hg_body_fit fit;      /* pointers into what follows: made at the first update, where the context computes */
     int64_t bytes;
     void *own;                    /* of the host */
     hg_tensor *memory, *topology; /* of another device */
 };
 
-hg_status hg_body_refit_create_frames(hg_body_refit **out, const hg_body_tree *tree, hg_dtype dtype, int64_t frames)
+hg_status hg_body_refit_create_frames(hg_body_refit **out, const hg_body_tree *tree, hg_dtype dtype, int64_t most)
 {
     *out = NULL;
     if (!tree) return hg_fail(HG_INVALID, "body: a refit needs a tree");
-    if (frames < 1) return hg_fail(HG_INVALID, "body: a refit of %lld frames", (long long)frames);
+    if (most < 1) return hg_fail(HG_INVALID, "body: a refit of %lld frames", (long long)most);
     if (dtype != HG_F32 && dtype != HG_F64)
         return hg_fail(HG_INVALID, "body: a refit is f32 or f64, not %s", hg_dtype_name(dtype));
     hg_body_refit *refit = hg_alloc(1, sizeof *refit);
     if (!refit) return HG_MEMORY;
-    *refit = (hg_body_refit){ .tree = tree, .dtype = dtype, .frames = frames };
+    *refit = (hg_body_refit){ .tree = tree, .dtype = dtype, .most = most };
     *out = refit;
     return HG_OK;
 }
@@ -96,7 +95,7 @@ static void *take(unsigned char *base, size_t *used, int64_t bytes)
 static size_t lay_out_frames(hg_body_refit *refit, unsigned char *base)
 {
     const hg_body_tree *tree = refit->tree;
-    const int64_t real = (int64_t)hg_dtype_size(refit->dtype), frames = refit->frames;
+    const int64_t real = (int64_t)hg_dtype_size(refit->dtype), frames = refit->most;
     const bool wide = refit->dtype == HG_F64;
     hg_body_fit *fit = &refit->fit;
     size_t used = 0;
@@ -200,11 +199,11 @@ static bool is_finite(const hg_body_refit *refit, const hg_body_fit *fit)
     return is_finite_f32(&body);
 }
 
-static hg_status update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices)
+static hg_status update(hg_ctx *ctx, const hg_body_refit *refit, int64_t frames, const void *vertices)
 {
     const bool wide = refit->dtype == HG_F64, host = hg_ctx_host(ctx);
-    const int64_t at_once = host ? 1 : refit->frames, real = (int64_t)hg_dtype_size(refit->dtype);
-    for (int64_t b = 0; b < refit->frames; b += at_once) {
+    const int64_t at_once = host ? 1 : frames, real = (int64_t)hg_dtype_size(refit->dtype);
+    for (int64_t b = 0; b < frames; b += at_once) {
         hg_body_refit_args args = { .body = frame_of(refit, b),
                                     .from = (const char *)vertices + b * 3 * refit->fit.n_vertices * real };
         HG_TRY(hg_launch(ctx, body_faces_kernels[wide], at_once * args.body.n_faces, &args));
@@ -217,21 +216,29 @@ static hg_status update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices)
     return HG_OK;
 }
 
+hg_status hg_body_refit_update_frames(hg_ctx *ctx, hg_body_refit *refit, int64_t frames, const void *vertices)
+{
+    if (frames < 1 || frames > refit->most)
+        return hg_fail(HG_INVALID, "body: %lld frames for a refit that has room for %lld", (long long)frames,
+                       (long long)refit->most);
+    hg_profile_begin(ctx, "body", "refit");
+    refit->frames = 0;
+    if (!refit->fit.n_faces) HG_TRY(make_memory(ctx, refit));
+    HG_TRY(update(ctx, refit, frames, vertices));
+    refit->frames = frames;
+    hg_profile_end(ctx, refit->bytes / refit->most * frames);
+    return HG_OK;
+}
+
 hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices)
 {
-    hg_profile_begin(ctx, "body", "refit");
-    refit->ready = false;
-    if (!refit->fit.n_faces) HG_TRY(make_memory(ctx, refit));
-    HG_TRY(update(ctx, refit, vertices));
-    refit->ready = true;
-    hg_profile_end(ctx, refit->bytes);
-    return HG_OK;
+    return hg_body_refit_update_frames(ctx, refit, 1, vertices);
 }
 
 hg_status hg_body_closest(hg_ctx *ctx, const hg_body_refit *refit, hg_contact_mode mode, double reach, int64_t n,
                           const void *points, int32_t *triangle, void *contact_point, void *contact_normal)
 {
-    if (!refit->ready) return hg_fail(HG_INVALID, "body: asked for the closest triangle before hg_body_refit_update");
+    if (!refit->frames) return hg_fail(HG_INVALID, "body: asked for the closest triangle before hg_body_refit_update");
     if (!(reach >= 0.0)) return hg_fail(HG_INVALID, "body: a reach of %g m; it has to be 0 or more", reach);
     hg_profile_begin(ctx, "body", "closest triangles");
     const int64_t at_once = hg_ctx_host(ctx) ? 1 : refit->frames, row = n * 3 * (int64_t)hg_dtype_size(refit->dtype);

@@ -26,9 +26,11 @@ void      hg_body_tree_destroy(hg_body_tree *tree);
 int64_t   hg_body_tree_faces(const hg_body_tree *tree);
 int64_t   hg_body_tree_vertices(const hg_body_tree *tree);
 hg_status hg_body_refit_create(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype);
-hg_status hg_body_refit_create_frames(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype, int64_t frames); /* then vertices are [frames,N,3], and below n the points of each */
 void      hg_body_refit_destroy(hg_body_refit *refit);
 hg_status hg_body_refit_update(hg_ctx *ctx, hg_body_refit *refit, const void *vertices /* [N,3], dtype of the refit */);
+/* Several frames in as many launches as one: room for `most` of them, and below n are the points of each. */
+hg_status hg_body_refit_create_frames(hg_body_refit **refit, const hg_body_tree *tree, hg_dtype dtype, int64_t most);
+hg_status hg_body_refit_update_frames(hg_ctx *ctx, hg_body_refit *refit, int64_t frames, const void *vertices /* [frames,N,3] */);
 
 typedef enum { HG_CONTACT_PLANE, HG_CONTACT_EXACT } hg_contact_mode;
 /* For every point: the closest triangle by true point-triangle distance (ties within 1e-6 m: the one with the largest

@@ -50,13 +50,13 @@ struct hg_physics {
 
     int contact; /* term that asks for it, -1: none */
     hg_contact_mode mode;
-    hg_body_refit **refits; /* one per frame of the batch */
-    hg_tensor *triangles;   /* [B,S,V] the last closest triangles: guesses for the next call */
-    int64_t frames;         /* how many the two have room for */
-    hg_tensor *weights;     /* [n] f64 */
-    hg_tensor *unweighted;  /* [n] f64 of the last call, of its step */
-    double *sums;           /* [n] the same, read back where the host asks for it */
-    hg_physics *twin;       /* on the processor, for HAIRGRAD_VALIDATE; made when it is first asked for */
+    hg_body_refit *refit;  /* of the frames of the batch */
+    hg_tensor *triangles;  /* [B,S,V] the last closest triangles: guesses for the next call */
+    int64_t frames;        /* how many the two have room for */
+    hg_tensor *weights;    /* [n] f64 */
+    hg_tensor *unweighted; /* [n] f64 of the last call, of its step */
+    double *sums;          /* [n] the same, read back where the host asks for it */
+    hg_physics *twin;      /* on the processor, for HAIRGRAD_VALIDATE; made when it is first asked for */
 };
 
 int hg_physics_terms(const hg_physics *physics) { return physics->n; }
@@ -251,7 +251,7 @@ void hg_physics_destroy(hg_physics *physics)
     for (int i = 0; i < VARIANTS; i++) hg_strand_pass_destroy(physics->strands[i].pass);
     hg_physics_asks_free(&physics->asks);
     for (int i = 0; i < physics->n_others; i++) physics->others[i].kind->destroy(physics->others[i].self);
-    for (int64_t b = 0; b < physics->frames; b++) hg_body_refit_destroy(physics->refits[b]);
+    hg_body_refit_destroy(physics->refit);
     for (int i = 0; i < physics->data.n_attributes; i++) {
         hg_free((void *)physics->attributes[i].name);
         hg_free((void *)physics->attributes[i].values);
@@ -259,7 +259,6 @@ void hg_physics_destroy(hg_physics *physics)
     hg_free(physics->attributes);
     hg_free((void *)physics->data.rest);
     hg_free((void *)physics->data.mass);
-    hg_free(physics->refits);
     hg_tensor_destroy(physics->triangles);
     hg_tensor_destroy(physics->weights);
     hg_free(physics->terms);
@@ -368,31 +367,26 @@ static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame,
     if (!frame->body_vertices)
         return hg_fail(HG_INVALID, "energy '%s' needs frame.body_vertices, which was not given",
                        p->terms[p->contact].energy->name);
-    const int64_t B = x->shape[0], points = p->data.strands * p->data.vertices, N = frame->body_vertices->shape[1];
-    const size_t size = hg_dtype_size(p->dtype), bytes = (size_t)(B * points * 3) * size;
+    const int64_t B = x->shape[0], points = p->data.strands * p->data.vertices;
+    const size_t bytes = (size_t)(B * points * 3) * hg_dtype_size(p->dtype);
     if (B > p->frames) {
-        hg_body_refit **refits = hg_resize(p->refits, (size_t)p->frames, (size_t)B, sizeof *refits);
-        if (!refits) return HG_MEMORY;
-        p->refits = refits;
         hg_tensor *triangles = hg_tensor_create(ctx, HG_I32, 1, (int64_t[]){ B * points });
         if (!triangles) return HG_MEMORY;
         hg_tensor_destroy(p->triangles);
         p->triangles = triangles;
         HG_TRY(hg_tensor_fill(triangles, -1));
-        for (; p->frames < B; p->frames++) HG_TRY(hg_body_refit_create(&p->refits[p->frames], p->data.body, p->dtype));
+        hg_body_refit_destroy(p->refit);
+        p->frames = 0;
+        HG_TRY(hg_body_refit_create_frames(&p->refit, p->data.body, p->dtype, B));
+        p->frames = B;
     }
     *point = hg_step_device(ctx, bytes + 1);
     *normal = hg_step_device(ctx, bytes + 1);
     if (!*point || !*normal)
         return hg_fail(HG_MEMORY, "out of memory for the contacts of %lld vertices", (long long)(B * points));
-    for (int64_t b = 0; b < B; b++) {
-        const size_t at = (size_t)(b * points * 3) * size;
-        HG_TRY(hg_body_refit_update(ctx, p->refits[b],
-                                    (const char *)frame->body_vertices->data + (size_t)(b * N * 3) * size));
-        HG_TRY(hg_body_closest(ctx, p->refits[b], p->mode, reach, points, (const char *)x->data + at,
-                               (int32_t *)p->triangles->data + b * points, (char *)*point + at, (char *)*normal + at));
-    }
-    return HG_OK;
+    if (B == 0) return HG_OK;
+    HG_TRY(hg_body_refit_update_frames(ctx, p->refit, B, frame->body_vertices->data));
+    return hg_body_closest(ctx, p->refit, p->mode, reach, points, x->data, p->triangles->data, *point, *normal);
 }
 
 /* The strand pass for what a call brings and wants. */

@@ -184,8 +184,8 @@ static void query_frames(hg_ctx *ctx, const hg_body_tree *tree, hg_dtype dtype, 
     hg_tensor *point = hg_tensor_create(ctx, dtype, 1, (int64_t[]){ 3 * all });
     hg_tensor *normal = hg_tensor_create(ctx, dtype, 1, (int64_t[]){ 3 * all });
     assert_int_equal(hg_tensor_write(triangle, out->triangle), HG_OK);
-    assert_int_equal(hg_body_refit_create_frames(&refit, tree, dtype, frames), HG_OK);
-    assert_int_equal(hg_body_refit_update(ctx, refit, v->data), HG_OK);
+    assert_int_equal(hg_body_refit_create_frames(&refit, tree, dtype, frames + 1), HG_OK);
+    assert_int_equal(hg_body_refit_update_frames(ctx, refit, frames, v->data), HG_OK);
     assert_int_equal(hg_body_closest(ctx, refit, mode, reach, n, p->data, triangle->data, point->data, normal->data),
                      HG_OK);
     assert_int_equal(hg_tensor_read(triangle, out->triangle), HG_OK);
