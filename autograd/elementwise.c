@@ -56,7 +56,9 @@ static bool tie_kink(const hg_call *call, int in, int64_t element, double step)
         PAIR("middle", 3, (2, 3, 4), 3, (2, 1, 4), low_), PAIR("middle of a", 4, (2, 1, 2, 1), 3, (3, 2, 2), low_),    \
         PAIR("scalar b", 2, (3, 4), 0, (0), low_), PAIR("scalar a", 0, (0), 2, (3, 4), low_),                          \
         PAIR("empty", 2, (0, 4), 1, (4), low_), PAIR("two blocks, row", 2, (1500, 3), 1, (3), low_),                   \
-        PAIR("two blocks, column", 2, (3, 1500), 2, (3, 1), low_)
+        PAIR("two blocks, column", 2, (3, 1500), 2, (3, 1), low_),                                                     \
+        PAIR("rows of several tiles", 2, (7, 70), 1, (70), low_),                                                      \
+        PAIR("three chunks, scalar", 1, (9001), 0, (0), low_)
 
 static const hg_sample plain_pairs[] = { PAIRS(0), PAIR("one", 1, (1), 1, (1), 0) };
 static const hg_sample positive_pairs[] = { PAIRS(0.5), PAIR("one", 1, (1), 1, (1), 0.5) };

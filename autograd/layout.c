@@ -156,10 +156,31 @@ static hg_tensor *permute_shape(hg_call *call)
     return hg_out(call, x->dtype, x->rank, shape);
 }
 
-static hg_status permute(hg_ctx *ctx, const hg_tensor *walked, const permute_args *args, bool add)
+/* How many squares, where a GPU should go by them: neither axis is short, and the last one lies far apart in `from`. */
+static int64_t squares_of(permute_args *args)
+{
+    enum { SHORT = 8 };
+    const int last = args->rank - 1;
+    args->near = last;
+    for (int i = 0; i < last; i++)
+        if (args->stride[i] == 1 && args->shape[i] > 1) args->near = i;
+    if (args->near == last || args->shape[args->near] < SHORT || args->shape[last] < SHORT) return 0;
+    int64_t squares = 1;
+    for (int i = 0; i <= last; i++)
+        squares *= i == last || i == args->near ? (args->shape[i] + SQUARE - 1) / SQUARE : args->shape[i];
+    return squares;
+}
+
+static hg_status permute(hg_ctx *ctx, const hg_tensor *walked, permute_args *args, bool add)
 {
     static const hg_kernel *const copies[3] = { &permute_16_bits_kernel, &permute_32_bits_kernel,
                                                 &permute_64_bits_kernel };
+    static const hg_kernel *const squares[2][2] = { { &squares_32_bits_kernel, &squares_64_bits_kernel },
+                                                    { &squares_add_f32_kernel, &squares_add_f64_kernel } };
+    const size_t size = hg_dtype_size(walked->dtype);
+    const int64_t n = size < 4 ? 0 : squares_of(args);
+    const hg_kernel *by_squares = squares[add][size == 8];
+    if (n > 0 && hg_launches(ctx, by_squares)) return hg_launch(ctx, by_squares, n, args);
     return hg_launch(ctx, mover(walked->dtype, add, copies, permute_add_kernels), hg_tensor_count(walked), args);
 }
 
@@ -237,6 +258,10 @@ static const hg_sample permute_samples[] = {
       .n_in = 1,
       .in = { { 3, { 70, 3, 21 } } },
       .attributes = &(const permute_attributes){ { 1, 2, 0 } } },
+    { .label = "squares",
+      .n_in = 1,
+      .in = { { 4, { 2, 40, 3, 9 } } },
+      .attributes = &(const permute_attributes){ { 3, 0, 2, 1 } } },
 };
 HG_OP(permute, .formula = "axes in another order", .min_in = 1, .max_in = 1,
       .attributes_size = sizeof(permute_attributes), .shape = permute_shape, .forward = permute_forward,

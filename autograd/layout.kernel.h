@@ -48,7 +48,7 @@ HG_KERNELS(slab_add, slab_args, 16384)
 
 /* `to` is walked in order; stride[i] is where its axis i lies in `from`. */
 typedef struct {
-    int rank;
+    int rank, near; /* the axis of `to` whose elements are neighbours in `from` */
     int64_t shape[HG_MAX_RANK], stride[HG_MAX_RANK];
     const void *from;
     void *to;
@@ -97,3 +97,49 @@ HG_KERNEL(permute_16_bits, permute_args, 4096)
 HG_KERNEL(permute_32_bits, permute_args, 4096)
 HG_KERNEL(permute_64_bits, permute_args, 4096)
 HG_KERNELS(permute_add, permute_args, 4096)
+
+/* What is neighbours in `to` is far apart in `from` and the other way round: a GPU's block takes a square of the two axes, reads it
+ * along the one, and writes it along the other. Blocks count squares, those of the last axis first, then of `near`, then the
+ * other axes. */
+enum { SQUARE = 32, SQUARE_THREADS = 256 };
+
+#ifdef HG_CUDA
+#define PERMUTE_SQUARES(NAME_, TYPE_, MOVE_)                                                                           \
+    HG_BODY void NAME_##_block(const permute_args *p, int64_t block)                                                   \
+    {                                                                                                                  \
+        __shared__ TYPE_ square[SQUARE][SQUARE + 1]; /* columns of it lie in different banks */                        \
+        const int last = p->rank - 1, column = (int)threadIdx.x % SQUARE;                                              \
+        int64_t across, along, index, from = 0, to = 0, pitch = 1, near_pitch = 1;                                     \
+        int64_t rest = hg_divide(block, (p->shape[last] + SQUARE - 1) / SQUARE, &across);                              \
+        rest = hg_divide(rest, (p->shape[p->near] + SQUARE - 1) / SQUARE, &along);                                     \
+        for (int i = last; i >= 0; i--) {                                                                              \
+            if (i == p->near) near_pitch = pitch;                                                                      \
+            if (i != p->near && i != last) {                                                                           \
+                rest = hg_divide(rest, p->shape[i], &index);                                                           \
+                from += index * p->stride[i];                                                                          \
+                to += index * pitch;                                                                                   \
+            }                                                                                                          \
+            pitch *= p->shape[i];                                                                                      \
+        }                                                                                                              \
+        across *= SQUARE;                                                                                              \
+        along *= SQUARE;                                                                                               \
+        for (int row = (int)threadIdx.x / SQUARE; row < SQUARE; row += SQUARE_THREADS / SQUARE)                        \
+            if (along + column < p->shape[p->near] && across + row < p->shape[last])                                   \
+                square[row][column] =                                                                                  \
+                    ((const TYPE_ *)p->from)[from + (across + row) * p->stride[last] + along + column];                \
+        __syncthreads();                                                                                               \
+        for (int row = (int)threadIdx.x / SQUARE; row < SQUARE; row += SQUARE_THREADS / SQUARE)                        \
+            if (along + row < p->shape[p->near] && across + column < p->shape[last])                                   \
+                ((TYPE_ *)p->to)[to + (along + row) * near_pitch + across + column] MOVE_ square[column][row];         \
+        __syncthreads(); /* before the next square */                                                                  \
+    }
+PERMUTE_SQUARES(squares_32_bits, uint32_t, =)
+PERMUTE_SQUARES(squares_64_bits, uint64_t, =)
+PERMUTE_SQUARES(squares_add_f32, float, +=)
+PERMUTE_SQUARES(squares_add_f64, double, +=)
+#endif
+
+HG_KERNEL_GPU(squares_32_bits, permute_args, SQUARE_THREADS)
+HG_KERNEL_GPU(squares_64_bits, permute_args, SQUARE_THREADS)
+HG_KERNEL_GPU(squares_add_f32, permute_args, SQUARE_THREADS)
+HG_KERNEL_GPU(squares_add_f64, permute_args, SQUARE_THREADS)
