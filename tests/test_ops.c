@@ -236,16 +236,6 @@ static const char *what_is_missing(const hg_op *op)
     return !empty ? "a sample with an empty input" : !small ? "a sample with one item" : NULL;
 }
 
-/* Ops that have no bodies for a GPU yet. */
-static const char *const missing_on_a_device[] = { "conv2d" };
-
-static bool is_missing(const char *name)
-{
-    for (size_t i = 0; i < sizeof missing_on_a_device / sizeof *missing_on_a_device; i++)
-        if (test_device() && strcmp(name, missing_on_a_device[i]) == 0) return true;
-    return false;
-}
-
 static void test_every_op(void **state)
 {
     (void)state;
@@ -256,7 +246,6 @@ static void test_every_op(void **state)
         const hg_op *op = hg_find("op", names[i]);
         assert_string_equal(op->name, names[i]);
         if (what_is_missing(op)) fail_msg("%s lacks %s", op->name, what_is_missing(op));
-        if (is_missing(op->name)) continue;
         for (int s = 0; s < op->n_samples; s++, samples++) check_sample(op, &op->samples[s]);
     }
     print_message("%d ops, %d samples\n", n, samples);
