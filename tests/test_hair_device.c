@@ -118,18 +118,25 @@ static uint64_t hash_of(const hg_model *model)
     return hash;
 }
 
-static trained run(const char *device, const char *name, watch *seen)
+static hg_hair_task *make_task(hg_ctx *ctx, const char *run, const char *const (*set)[2])
 {
-    hg_ctx *ctx = make_ctx(device);
     int n;
     const hg_config_row *rows = hg_hair_schema(&n);
     hg_config *config = NULL;
     hg_hair_task *task = NULL;
     char path[400];
-    path_of(path, name, NULL);
+    path_of(path, run ? run : "", NULL);
     OK(hg_config_parse(&config, tiny, "tiny.yaml", rows, n));
-    OK(hg_hair_task_create(&task, ctx, config, path, NULL));
+    for (; set && (*set)[0]; set++) OK(hg_config_set(config, (*set)[0], (*set)[1]));
+    OK(hg_hair_task_create(&task, ctx, config, run ? path : NULL, NULL));
     hg_config_destroy(config);
+    return task;
+}
+
+static trained run(const char *device, const char *name, watch *seen)
+{
+    hg_ctx *ctx = make_ctx(device);
+    hg_hair_task *task = make_task(ctx, name, NULL);
     hg_train_options options = hg_hair_train_options(task);
     *seen = (watch){ .ctx = ctx };
     options.stop = look;
@@ -162,6 +169,47 @@ static void trains_like_the_processor(void **state)
     for (int i = 1; i < STEPS; i++) /* before step i + 1: what step i waited for */
         if (i > 2 && i % EVERY && seen.waits[i] != seen.waits[i - 1])
             fail_msg("step %d waited %lld times for the device", i, (long long)(seen.waits[i] - seen.waits[i - 1]));
+}
+
+/* Everything that a config can change of what is made on the device: several grooms, strands drawn anew, outputs that turn edges,
+ * materials that are inputs and learnt ones, a moving average, and what has no gravity to count from the roots. */
+static void variants_train_too(void **state)
+{
+    (void)state;
+    static const char *const grooms[][2] = { { "scene.grooms", "[wavy, short]" },
+                                             { "training.frames", "3" },
+                                             { "training.resample_every", "4" },
+                                             { NULL, NULL } };
+    static const char *const turned[][2] = { { "model.output", "directions" },
+                                             { "model.pinned", "2" },
+                                             { "features.materials.bend_twist.stiffness", "[1e-9 N*m^2, 1e-8 N*m^2]" },
+                                             { "losses.drag.learn", "[c]" },
+                                             { "training.ema", "0.9" },
+                                             { NULL, NULL } };
+    static const char *const light[][2] = { { "losses.gravity.weight", "0" },
+                                            { "model.output", "edges" },
+                                            { "losses.self_collision.weight", "1" },
+                                            { NULL, NULL } };
+    const char *const(*const variants[])[2] = { grooms, turned, light };
+    for (int v = 0; v < 3; v++) {
+        double loss[2], best[2];
+        for (int k = 0; k < 2; k++) {
+            hg_ctx *ctx = make_ctx(k ? test_device() : "cpu");
+            hg_hair_task *task = make_task(ctx, NULL, variants[v]);
+            hg_train_options options = hg_hair_train_options(task);
+            options.steps = 10;
+            hg_train_result result;
+            OK(hg_train(ctx, hg_hair_model(task), hg_hair_task_of(task), &options, NULL, &result));
+            loss[k] = result.loss;
+            best[k] = result.best_validation;
+            hg_hair_task_destroy(task);
+            hg_ctx_destroy(ctx);
+        }
+        if (!(fabs(loss[1] - loss[0]) < 1e-3 * fmax(fabs(loss[0]), 1e-3)) ||
+            !(fabs(best[1] - best[0]) < 1e-3 * fmax(fabs(best[0]), 1e-3)))
+            fail_msg("variant %d: loss %.9g and validation %.9g, %.9g and %.9g on the processor", v, loss[1], best[1],
+                     loss[0], best[0]);
+    }
 }
 
 /* ---- what a trained network is used for ---- */
@@ -248,6 +296,7 @@ int main(void)
 {
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(trains_like_the_processor),
+        cmocka_unit_test(variants_train_too),
         cmocka_unit_test(is_used_like_on_the_processor),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
