@@ -113,13 +113,28 @@ enum { HG_F32, HG_F64, HG_I32, HG_BF16, HG_TF32 }; /* as base.h has them */
 #define HG_KERNEL_PAIR_(name_)                                                                                         \
     static const hg_kernel *const name_##_kernels[2] = { &name_##_f32_kernel, &name_##_f64_kernel };
 
-/* For a file that the library does not carry, such as a plug-in's: bodies and HG_KERNEL lines between the brackets are compiled
- * here and kept as text. `#define HG_KERNEL_SOURCE hg_kernel_text` before this header is included; once in a file. */
+/* For a file that the library does not carry, such as a plug-in's: what stands between the brackets (args, HG_BODY or HG_BODIES,
+ * HG_KERNEL lines) is compiled here and kept as text, for which this header, tensor/math.h and tensor/block.h are there too. It
+ * is one line of preprocessor: no directives in it, macros of one's own are not known there. `#define HG_KERNEL_SOURCE
+ * hg_kernel_text` before this header is included; once in a file (examples/new/op.c). */
 #define HG_KERNEL_TEXT(...)                                                                                            \
     static const char hg_kernel_text[] = #__VA_ARGS__;                                                                 \
     __VA_ARGS__
 
 #endif
+
+/* One body for both precisions, in place of a NAME.inc: in it `real` is float, then double, and p, first and last are there. */
+#define HG_BODIES(name_, args_, ...)                                                                                   \
+    HG_BODY void name_##_f32(const args_ *p, int64_t first, int64_t last)                                              \
+    {                                                                                                                  \
+        typedef float real;                                                                                            \
+        __VA_ARGS__                                                                                                    \
+    }                                                                                                                  \
+    HG_BODY void name_##_f64(const args_ *p, int64_t first, int64_t last)                                              \
+    {                                                                                                                  \
+        typedef double real;                                                                                           \
+        __VA_ARGS__                                                                                                    \
+    }
 
 /* Bodies name_f32 and name_f64 of the same args: name_kernels[dtype == HG_F64]. */
 #define HG_KERNELS(name_, args_, block_)                                                                               \

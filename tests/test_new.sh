@@ -38,6 +38,10 @@ for kind in energy op model; do
 done
 try "gradcheck of the energy" hairgrad --plugin own_energy.so gradcheck own_energy
 try "gradcheck of the op" hairgrad --plugin own_op.so gradcheck own_op
+if [ -d "$build/tests/emulator" ]; then # the same text for a GPU, here an emulated one
+    LD_LIBRARY_PATH="$build/tests/emulator:$LD_LIBRARY_PATH"
+    try "gradcheck of the op on a GPU" hairgrad --plugin own_op.so gradcheck own_op --device cuda
+fi
 try "all three at once" hairgrad --plugin own_energy.so --plugin own_op.so losses own_energy --plugin own_model.so
 try "train with the energy" hairgrad --plugin own_energy.so train own.yaml -o run --set losses.own_energy.stiffness="2e-3 N"
 try "train the model" hairgrad --plugin own_model.so train own.yaml -o run2 --set model.kind=own_model

@@ -68,7 +68,7 @@ static hg_status make_source(const hg_kernel *kernel, source *s)
 {
     memset(s, 0, sizeof *s);
     if (is_text(kernel->cuda)) {
-        hg_text_add(&s->text, "#include \"tensor/kernel.h\"\n%s\n", kernel->cuda);
+        hg_text_add(&s->text, "#include \"tensor/block.h\"\n#include \"tensor/math.h\"\n%s\n", kernel->cuda);
     } else {
         const hg_kernel_file *file = find_file(kernel->cuda);
         if (!file)
