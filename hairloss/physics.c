@@ -579,10 +579,12 @@ static hg_status physics_backward(hg_call *call)
 {
     const physics_call *attributes = call->attributes;
     for (int i = 0; i < call->n_in; i++)
-        if (hg_needs_grad(call->in[i]))
+        if (hg_needs_grad(call->in[i])) {
+            bool fresh;
+            void *to = hg_grad_data(call->in[i], &fresh);
             HG_TRY(hg_physics_add_scaled(call->ctx, call->in[i]->dtype, hg_tensor_count(call->in[i]),
-                                         attributes->gradient[i], hg_grad(call->out)->data,
-                                         hg_grad(call->in[i])->data));
+                                         attributes->gradient[i], hg_grad(call->out)->data, to, fresh));
+        }
     return HG_OK;
 }
 

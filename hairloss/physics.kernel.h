@@ -18,10 +18,11 @@ typedef struct {
     void *to;
 } weigh_args;
 
-/* to += scale from, where scale is one number. */
+/* to += scale from, where scale is one number; fresh: to = scale from. */
 typedef struct {
     const void *from, *scale;
     void *to;
+    int64_t fresh;
 } scale_args;
 
 /* Rows of `width` numbers: row i of the frames [B,S] is row i % strands of the frame's groom in `from` [G,S,width]. */

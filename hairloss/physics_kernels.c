@@ -39,9 +39,10 @@ hg_status hg_physics_weigh(hg_ctx *ctx, int64_t n, const double *energies, const
     return run(ctx, weigh_kernels, to->dtype, 1, &args);
 }
 
-hg_status hg_physics_add_scaled(hg_ctx *ctx, hg_dtype dtype, int64_t n, const void *from, const void *scale, void *to)
+hg_status hg_physics_add_scaled(hg_ctx *ctx, hg_dtype dtype, int64_t n, const void *from, const void *scale, void *to,
+                                bool fresh)
 {
-    const scale_args args = { from, scale, to };
+    const scale_args args = { from, scale, to, fresh };
     return run(ctx, add_scaled_kernels, dtype, n, &args);
 }
 

@@ -10,8 +10,9 @@ hg_status hg_physics_sums(hg_ctx *ctx, hg_dtype dtype, const void *from, int64_t
                           hg_dtype to_dtype, void *to, const int32_t *column);
 /* to [] = sum of weights * energies */
 hg_status hg_physics_weigh(hg_ctx *ctx, int64_t n, const double *energies, const double *weights, hg_tensor *to);
-/* to += scale [] * from */
-hg_status hg_physics_add_scaled(hg_ctx *ctx, hg_dtype dtype, int64_t n, const void *from, const void *scale, void *to);
+/* to += scale [] * from; fresh: to = */
+hg_status hg_physics_add_scaled(hg_ctx *ctx, hg_dtype dtype, int64_t n, const void *from, const void *scale, void *to,
+                                bool fresh);
 /* [B,S,width] of the groom of each frame, from [G,S,width] */
 void *hg_physics_of_groom(hg_ctx *ctx, hg_dtype dtype, const int32_t *groom, int64_t frames, int64_t strands,
                           int64_t width, const void *from);

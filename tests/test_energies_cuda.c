@@ -1,6 +1,6 @@
 /* The strand energies on a device against the interpreter on the processor: every window energy with every choice of its
  * options, in both precisions, for strands of one vertex up to more than a warp has lanes, and the usual sums; and the same
- * bits whatever the order of an emulated device's threads. On the processor the best kernel takes the device's part. */
+ * bits whatever the order of an emulated device's threads. The device is that of test_device(); on the processor the best kernel takes the device's part. */
 #include "energies_walk.h"
 #include "test.h"
 
@@ -71,8 +71,45 @@ static void test_sums(void **state)
     }
 }
 
+/* Whatever the number of energies, a call is one launch and the sum of what its blocks leave; nothing goes to or from the
+ * host. */
+static void test_launches(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_context(1);
+    if (hg_ctx_host(ctx)) { /* it has no launches of a GPU, nor bytes that travel */
+        hg_ctx_destroy(ctx);
+        skip();
+    }
+    const char *names[] = { "stretch", "bend_twist", "gravity", "inertia", "drag", "hair_style" };
+    for (int n = 1; n <= 6; n++) {
+        hg_term terms[6];
+        for (int t = 0; t < n; t++) terms[t] = (hg_term){ hg_energy_find(names[t]), 1, NULL, NULL };
+        scene s;
+        scene_make(&s, 1, B, S, 25, 0.3);
+        hg_physics *physics;
+        ok(hg_physics_create(&physics, ctx, HG_F32, terms, n, &s.data), "launches");
+        const hg_frame frame = scene_frame(&s, ctx, HG_F32);
+        hg_tensor *x = scene_x(&s, ctx, HG_F32), *gradient = scene_x(&s, ctx, HG_F32);
+        hg_device_counts before = { 0 };
+        for (int call = 0; call < 3; call++) { /* the first makes what stays */
+            if (call == 1) before = hg_ctx_counts(ctx);
+            ok(hg_physics_evaluate(physics, ctx, &frame, x, NULL, NULL, gradient), "launches");
+        }
+        const hg_device_counts after = hg_ctx_counts(ctx);
+        assert_int_equal(after.launches - before.launches, 2 * 2);
+        assert_int_equal(after.uploaded - before.uploaded, 0);
+        assert_int_equal(after.downloaded - before.downloaded, 0);
+        hg_physics_destroy(physics);
+        hg_step_reset(ctx);
+        scene_free(&s);
+    }
+    hg_ctx_destroy(ctx);
+}
+
 int main(void)
 {
-    const struct CMUnitTest tests[] = { cmocka_unit_test(test_each), cmocka_unit_test(test_sums) };
+    const struct CMUnitTest tests[] = { cmocka_unit_test(test_each), cmocka_unit_test(test_sums),
+                                        cmocka_unit_test(test_launches) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

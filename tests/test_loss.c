@@ -2,6 +2,7 @@
  * tests/reference; shapes, settings, and what is wrong with a file, in one sentence each. */
 #include "hairloss/hairloss.h"
 
+#include "tests/device.h"
 #include "tests/test.h"
 
 enum { MOST = 64 };
@@ -231,7 +232,7 @@ static void test_reference(void **state)
 {
     (void)state;
     hg_ctx *ctx;
-    ok(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2 }), "context");
+    ok(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .device = test_device() }), "context");
     hg_h5 *file = open_reference();
     char *with = test_path("posed.h5"), *without = test_path("roots.h5"), *out = test_path("out.h5"), **labels;
     write_scene(with, file, true);
@@ -269,7 +270,7 @@ typedef struct {
 
 static void bench_make(bench *b)
 {
-    ok(hg_ctx_create(&b->ctx, &(hg_ctx_options){ .threads = 1 }), "context");
+    ok(hg_ctx_create(&b->ctx, &(hg_ctx_options){ .threads = 1, .device = test_device() }), "context");
     b->in = test_path("in.h5");
     b->out = test_path("out.h5");
     for (int i = 0; i < S * V * 3; i++) {
