@@ -186,6 +186,7 @@ typedef unsigned int cudnnConvolutionFwdAlgo_t, cudnnConvolutionBwdDataAlgo_t, c
     X(CUDNN_CONVOLUTION_BWD_FILTER_ALGO_1, 1)
 
 #define HG_CUDA_DNN(X)                                                                                                 \
+    X(cudnnGetVersion, "cudnnGetVersion", size_t, (void))                                                              \
     X(cudnnCreate, "cudnnCreate", cudnnStatus_t, (cudnnHandle_t *))                                                    \
     X(cudnnDestroy, "cudnnDestroy", cudnnStatus_t, (cudnnHandle_t))                                                    \
     X(cudnnSetStream, "cudnnSetStream", cudnnStatus_t, (cudnnHandle_t, CUstream))                                      \

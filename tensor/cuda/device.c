@@ -264,6 +264,11 @@ int hg_cuda_list(hg_device_info *infos, int room)
         }
         return 1;
     }
+    const hg_cuda_dnn_api *dnn;
+    char cudnn[64] = "no cuDNN, which convolutions need";
+    if (room > 0 && hg_cuda_dnn_library(&dnn) == HG_OK)
+        snprintf(cudnn, sizeof cudnn, "cuDNN %d.%d", (int)(dnn->cudnnGetVersion() / 10000),
+                 (int)(dnn->cudnnGetVersion() / 100 % 100));
     api->cuDeviceGetCount(&count);
     for (int i = 0; i < count && i < room; i++) {
         hg_device_info *info = &infos[i];
@@ -273,9 +278,9 @@ int hg_cuda_list(hg_device_info *infos, int room)
         api->cuDeviceGet(&device, i);
         api->cuDeviceTotalMem(&info->memory, device);
         describe(api, device, info->what, sizeof info->what);
-        snprintf(info->versions, sizeof info->versions, "driver for CUDA %d.%d, NVRTC %d.%d, cuBLAS %d.%d",
+        snprintf(info->versions, sizeof info->versions, "driver for CUDA %d.%d, NVRTC %d.%d, cuBLAS %d.%d, %s",
                  api->driver_version / 1000, api->driver_version % 1000 / 10, api->nvrtc_major, api->nvrtc_minor,
-                 api->blas_major, api->blas_minor);
+                 api->blas_major, api->blas_minor, cudnn);
     }
     return count;
 }

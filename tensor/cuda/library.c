@@ -5,28 +5,37 @@
 #include <pthread.h>
 #include <stdarg.h>
 #include <stdio.h>
+#include <stdlib.h>
 #include <string.h>
 
 static hg_cuda_api table;
 static hg_status table_status;
 static char table_message[256];
 
-/* Libraries of the toolkit are "NAME.so.MAJOR". One of a newer major version than the driver makes what that cannot load. */
-static void *open_toolkit(const char *name)
+/* "NAME.so.MAJOR", where the system finds it, else in the toolkit's own folder. */
+static void *open_major(const char *name, int major)
 {
-    enum { NEWEST = 13, OLDEST = 12 };
+    const char *const homes[] = { NULL, getenv("CUDA_HOME"), getenv("CUDA_PATH"), "/usr/local/cuda" };
     void *library = NULL;
-    const int most = table.driver_version / 1000 < NEWEST ? table.driver_version / 1000 : NEWEST;
-    for (int major = most; major >= OLDEST && !library; major--) {
-        char path[64];
-        snprintf(path, sizeof path, "%s.so.%d", name, major);
-        library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
+    for (size_t i = 0; i < sizeof homes / sizeof *homes && !library; i++) {
+        char path[4096];
+        if (i > 0 && !homes[i]) continue;
+        const int length =
+            snprintf(path, sizeof path, "%s%s%s.so.%d", i ? homes[i] : "", i ? "/lib64/" : "", name, major);
+        if (length > 0 && (size_t)length < sizeof path) library = dlopen(path, RTLD_NOW | RTLD_LOCAL);
     }
     return library;
 }
 
-static hg_cuda_dnn_api dnn_table;
-static char dnn_message[256];
+/* One of a newer major version than the driver's makes what that cannot load. */
+enum { NEWEST = 13, OLDEST = 12, DNN = 9 };
+static int newest(void) { return table.driver_version / 1000 < NEWEST ? table.driver_version / 1000 : NEWEST; }
+static void *open_toolkit(const char *name)
+{
+    void *library = NULL;
+    for (int major = newest(); major >= OLDEST && !library; major--) library = open_major(name, major);
+    return library;
+}
 
 static hg_status refuse(const char *format, ...) HG_PRINTF(1, 2);
 static hg_status refuse(const char *format, ...)
@@ -66,7 +75,7 @@ static hg_status take_nvrtc(void)
     void *library = open_toolkit("libnvrtc");
     if (!library)
         return refuse("CUDA's compiler at run time, libnvrtc.so.%d, is missing: install cuda-nvrtc of CUDA %d",
-                      table.driver_version / 1000, table.driver_version / 1000);
+                      newest(), newest());
     HG_CUDA_NVRTC(TAKE)
     table.nvrtcVersion(&table.nvrtc_major, &table.nvrtc_minor);
     return HG_OK;
@@ -76,8 +85,7 @@ static hg_status take_blas(void)
 {
     void *library = open_toolkit("libcublas");
     if (!library)
-        return refuse("cuBLAS, libcublas.so.%d, is missing: install libcublas of CUDA %d", table.driver_version / 1000,
-                      table.driver_version / 1000);
+        return refuse("cuBLAS, libcublas.so.%d, is missing: install libcublas of CUDA %d", newest(), newest());
     HG_CUDA_BLAS(TAKE)
     table.cublasGetProperty(MAJOR_VERSION, &table.blas_major);
     table.cublasGetProperty(MINOR_VERSION, &table.blas_minor);
@@ -101,9 +109,12 @@ hg_status hg_cuda_library(const hg_cuda_api **api)
 
 const char *hg_cuda_refusal(void) { return table_message; }
 
+static hg_cuda_dnn_api dnn_table;
+static char dnn_message[256];
+
 static void open_dnn(void)
 {
-    void *library = dlopen("libcudnn.so.9", RTLD_NOW | RTLD_LOCAL);
+    void *library = open_major("libcudnn", DNN);
     if (!library)
         snprintf(dnn_message, sizeof dnn_message,
                  "convolutions need cuDNN 9, libcudnn.so.9, which is missing: install it, or use the cpu");

@@ -92,17 +92,15 @@ typedef struct {
 /* The device's architecture, or the newest that NVRTC knows below it. */
 static hg_status find_target(const hg_cuda_device *d, target *t)
 {
-    int n = 0, archs[64], best = 0;
+    int n = 0, best = 0;
     const int own = 10 * d->major + d->minor;
     d->api->nvrtcGetNumSupportedArchs(&n);
-    if (n > 64) n = 64;
-    int *all = hg_alloc(n > 0 ? (size_t)n : 1, sizeof *all);
-    if (!all) return HG_MEMORY;
-    d->api->nvrtcGetSupportedArchs(all);
-    memcpy(archs, all, (size_t)n * sizeof *archs);
-    hg_free(all);
+    int *archs = hg_alloc(n > 0 ? (size_t)n : 1, sizeof *archs);
+    if (!archs) return HG_MEMORY;
+    if (d->api->nvrtcGetSupportedArchs(archs) != 0) n = 0;
     for (int i = 0; i < n; i++)
         if (archs[i] <= own && archs[i] > best) best = archs[i];
+    hg_free(archs);
     if (!best)
         return hg_fail(HG_UNSUPPORTED, "cuda: NVRTC %d.%d cannot compile for compute capability %d.%d",
                        d->api->nvrtc_major, d->api->nvrtc_minor, d->major, d->minor);

@@ -9,6 +9,7 @@
  *   CUDA_LAUNCH_BLOCKING=1     everything at once; otherwise work waits in its stream until somebody waits for it
  *   EMULATOR_MEMORY=BYTES      of the device (8 GiB)
  *   EMULATOR_NO_DEVICE=1       a driver without a GPU
+ *   EMULATOR_NO_CAPTURE=1      no stream can be captured
  *   EMULATOR_DRIVER=11080      the driver's version, as cuDriverGetVersion gives it (13000) */
 #ifndef EMULATOR_H
 #define EMULATOR_H

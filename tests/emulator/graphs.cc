@@ -31,6 +31,7 @@ int cuStreamBeginCapture_v2(void *handle, int mode)
     auto s = find_stream(handle);
     if (!s) return refuse(INVALID_HANDLE, "cuStreamBeginCapture: %p is no stream", handle);
     if (!handle) return refuse(CAPTURE_UNSUPPORTED, "the default stream cannot be captured");
+    if (setting("EMULATOR_NO_CAPTURE")) return CAPTURE_UNSUPPORTED;
     if (s->captured) return refuse(INVALID_VALUE, "cuStreamBeginCapture of a stream that is captured already");
     if (mode < 0 || mode > 2) return refuse(INVALID_VALUE, "cuStreamBeginCapture: mode %d", mode);
     s->captured = std::make_shared<capture>();
