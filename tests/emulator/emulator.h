@@ -8,6 +8,8 @@
  *   EMULATOR_CHECK=1           kernels are compiled so that each access is checked: bounds, alignment, races, undefined behaviour
  *   CUDA_LAUNCH_BLOCKING=1     everything at once; otherwise work waits in its stream until somebody waits for it
  *   EMULATOR_MEMORY=BYTES      of the device (8 GiB)
+ *   EMULATOR_CAPABILITY=90     the compute capability
+ *   EMULATOR_NO_KEYS=1         device memory is protected page by page, as on processors without protection keys
  *   EMULATOR_NO_DEVICE=1       a driver without a GPU
  *   EMULATOR_NO_CAPTURE=1      no stream can be captured
  *   EMULATOR_DRIVER=11080      the driver's version, as cuDriverGetVersion gives it (13000) */

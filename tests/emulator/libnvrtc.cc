@@ -103,7 +103,7 @@ int nvrtcVersion(int *major, int *minor)
     all = hash(read_file(EMULATOR_SOURCE "/table.h") + read_file(EMULATOR_SOURCE "/libnvrtc.cc"), all);
     all = hash(compiler() + " " + flags() + " " + coverage(), all);
     *major = 13;
-    *minor = (int)(all >> 34);
+    *minor = (int)(all % 1000000);
     return 0;
 }
 const char *nvrtcGetErrorString(int result)
