@@ -289,6 +289,10 @@ static void bf16_compute(void **state)
     const char *const same[] = {
         "training.compute", "f32", "training.steps", "60", "training.validate_every", "0", NULL
     };
+    trial t = begin(NULL, 2, (const char *const[]){ "training.compute", "tf32", NULL }); /* GPUs alone have it */
+    assert_int_equal(t.status, HG_UNSUPPORTED);
+    assert_non_null(strstr(hg_message(), "training.compute: compute in tf32"));
+    end(&t);
     trial s = begin(NULL, 2, set);
     if (s.status == HG_UNSUPPORTED) {
         assert_non_null(strstr(hg_message(), "training.compute"));
