@@ -281,6 +281,34 @@ static void test_incomplete_ops_fail(void **state)
     assert_string_equal(what_is_missing(&op), "a sample with one item");
 }
 
+/* Moving elements asks for their size alone: what is true of f32 is true of i32 and bf16. */
+static void test_layout_of_every_type(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = context(test_device(), 2);
+    double values[6 * 11 * 10];
+    for (int i = 0; i < 6 * 11 * 10; i++) values[i] = i % 251 - 125; /* exact in bf16 */
+    hg_tensor *x = hg_cast(ctx, hg_tensor_from(ctx, HG_F64, 3, (int64_t[]){ 6, 11, 10 }, values), HG_F32);
+    hg_tensor *moved[3];
+    const hg_dtype types[] = { HG_F32, HG_I32, HG_BF16 };
+    for (int t = 0; t < 3; t++) {
+        hg_tensor *y = t ? hg_cast(ctx, x, types[t]) : x;
+        hg_tensor *turned = hg_permute(ctx, y, (int[]){ 2, 0, 1 }), *tail = hg_slice(ctx, turned, 2, 3, 8);
+        moved[t] = hg_concat(ctx, 2, 2, (hg_tensor *[]){ tail, turned });
+        assert_int_equal(hg_ctx_status(ctx), HG_OK);
+        assert_int_equal(moved[t]->dtype, types[t]);
+    }
+    for (int64_t i = 0; i < hg_tensor_count(moved[0]); i++) {
+        const int64_t row = i / 19, column = i % 19 < 8 ? i % 19 + 3 : i % 19 - 8;
+        const double expected = values[(row % 6 * 11 + column) * 10 + row / 6];
+        for (int t = 0; t < 3; t++)
+            if (hg_tensor_item(moved[t], i) != expected)
+                fail_msg("%s: element %lld is %g, expected %g", hg_dtype_name(types[t]), (long long)i,
+                         hg_tensor_item(moved[t], i), expected);
+    }
+    hg_ctx_destroy(ctx);
+}
+
 /* ---- gradcheck itself ---- */
 
 static hg_tensor *half_missing(void *self, hg_ctx *ctx, hg_tensor **in)
@@ -367,6 +395,7 @@ int main(void)
     const struct CMUnitTest tests[] = {
         cmocka_unit_test(test_every_op),
         cmocka_unit_test(test_incomplete_ops_fail),
+        cmocka_unit_test(test_layout_of_every_type),
         cmocka_unit_test(test_gradcheck_sees),
         cmocka_unit_test(test_gradcheck_kinks),
     };
