@@ -120,6 +120,8 @@ typedef struct {
     int64_t n;
     int32_t *triangle;
     float *contact, *normal;
+    /* where the context computes: the same */
+    hg_tensor *bodies[FRAMES], *places[FRAMES], *triangles, *contacts, *normals;
     double reach;
     int at;
 #ifdef BENCH_EMBREE
@@ -134,12 +136,39 @@ static void ours(void *self, double *ms, int n)
     for (int i = -1; i < n; i++) {
         const int f = s->at++ % FRAMES;
         const double start = bench_now();
-        bench_need(hg_body_refit_update(s->ctx, s->refit, s->vertices[f]));
-        bench_need(hg_body_closest(s->ctx, s->refit, HG_CONTACT_EXACT, s->reach, s->n, s->points[f], s->triangle,
-                                   s->contact, s->normal));
+        bench_need(hg_body_refit_update(s->ctx, s->refit, s->bodies[f]->data));
+        bench_need(hg_body_closest(s->ctx, s->refit, HG_CONTACT_EXACT, s->reach, s->n, s->places[f]->data,
+                                   s->triangles->data, s->contacts->data, s->normals->data));
+        bench_need(hg_ctx_wait(s->ctx));
         if (i >= 0) ms[i] = bench_now() - start;
         hg_step_reset(s->ctx);
     }
+}
+
+static hg_tensor *sent(hg_ctx *ctx, hg_dtype dtype, int64_t n, const void *from)
+{
+    hg_tensor *to = hg_tensor_create(ctx, dtype, 1, &n);
+    if (!to) bench_need(hg_ctx_status(ctx));
+    bench_need(hg_tensor_write(to, from));
+    return to;
+}
+
+static void send(closest *s, int64_t n_vertices)
+{
+    for (int f = 0; f < FRAMES; f++) {
+        s->bodies[f] = sent(s->ctx, HG_F32, 3 * n_vertices, s->vertices[f]);
+        s->places[f] = sent(s->ctx, HG_F32, 3 * s->n, s->points[f]);
+    }
+    s->triangles = sent(s->ctx, HG_I32, s->n, s->triangle);
+    s->contacts = sent(s->ctx, HG_F32, 3 * s->n, s->contact);
+    s->normals = sent(s->ctx, HG_F32, 3 * s->n, s->normal);
+}
+
+static void fetch(closest *s)
+{
+    bench_need(hg_tensor_read(s->triangles, s->triangle));
+    bench_need(hg_tensor_read(s->contacts, s->contact));
+    bench_need(hg_tensor_read(s->normals, s->normal));
 }
 
 #ifdef BENCH_EMBREE
@@ -180,12 +209,14 @@ void bench_body_collision(bench *b)
           *points = hg_alloc((size_t)(FRAMES * 3 * n), sizeof *points),
           *rotation = hg_alloc((size_t)(4 * S), sizeof *rotation),
           *position = hg_alloc((size_t)(3 * S), sizeof *position);
-    if (!rest || !vertices || !points || !rotation || !position) bench_need(HG_MEMORY);
+    float *strands = hg_alloc((size_t)(3 * n), sizeof *strands);
+    if (!rest || !vertices || !points || !rotation || !position || !strands) bench_need(HG_MEMORY);
+    bench_need(hg_tensor_read(task->subset.rest, strands));
     for (int f = 0; f < FRAMES; f++) { /* a groom that follows the head, a little behind */
         bench_need(hg_pose(b->ctx[1], poser, NULL, task->clips[0][0].motion, 10 + f, vertices + f * 3 * N, NULL, NULL));
         bench_need(hg_pose_roots(b->ctx[1], poser, task->groom, task->subset.strand, S, vertices + f * 3 * N, rotation,
                                  position));
-        hg_pose_strands(b->ctx[1], S, V, task->subset.rest->data, rotation, position, points + f * 3 * n);
+        hg_pose_strands(b->ctx[1], S, V, strands, rotation, position, points + f * 3 * n);
         for (int64_t i = 0; i < 3 * n; i++)
             points[f * 3 * n + i] += (float)(5e-4 * hg_random_normal(5, (uint64_t)f, (uint64_t)i));
     }
@@ -203,12 +234,17 @@ void bench_body_collision(bench *b)
             side[c].normal = hg_alloc((size_t)(3 * n), sizeof(float));
             if (!side[c].triangle || !side[c].contact || !side[c].normal) bench_need(HG_MEMORY);
             for (int64_t i = 0; i < n; i++) side[c].triangle[i] = -1;
-            if (c < 2) bench_need(hg_body_refit_create(&side[c].refit, tree, HG_F32));
+            if (c == 2) continue;
+            bench_need(hg_body_refit_create(&side[c].refit, tree, HG_F32));
+            send(&side[c], N);
         }
         bench_result r = { .aim = 1, .ours = "refit and closest triangles" };
         snprintf(r.row, sizeof r.row, "body_collision, %s", bounded ? "within 1 cm" : "any distance");
         double ms;
-        for (int c = 0; c < 2; c++) ours(&side[c], &ms, 1);
+        for (int c = 0; c < 2; c++) {
+            ours(&side[c], &ms, 1);
+            fetch(&side[c]);
+        }
         r.same_bits = !memcmp(side[0].contact, side[1].contact, (size_t)n * 12) &&
                       !memcmp(side[0].normal, side[1].normal, (size_t)n * 12) &&
                       !memcmp(side[0].triangle, side[1].triangle, (size_t)n * 4);
@@ -242,6 +278,13 @@ void bench_body_collision(bench *b)
         bench_add(b, &r);
         for (int c = 0; c < 3; c++) {
             hg_body_refit_destroy(side[c].refit);
+            for (int f = 0; f < FRAMES; f++) {
+                hg_tensor_destroy(side[c].bodies[f]);
+                hg_tensor_destroy(side[c].places[f]);
+            }
+            hg_tensor_destroy(side[c].triangles);
+            hg_tensor_destroy(side[c].contacts);
+            hg_tensor_destroy(side[c].normals);
             hg_free(side[c].triangle);
             hg_free(side[c].contact);
             hg_free(side[c].normal);
@@ -256,6 +299,7 @@ void bench_body_collision(bench *b)
     hg_free(rest);
     hg_free(vertices);
     hg_free(points);
+    hg_free(strands);
     hg_free(rotation);
     hg_free(position);
 }
