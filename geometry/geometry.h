@@ -51,6 +51,8 @@ void hg_body_closest_brute(int64_t n_vertices, const double *vertices, int64_t n
 /* Points sorted into cubes at least `radius` wide: what lies within the radius of a point is in the 27 cells around its
  * own. Cells along +x follow each other, so these are 9 runs of places (hg_cells_runs). Sorting is stable, points that
  * are not finite are left out, memory is kept from build to build; {0} is empty. Far outliers share the outermost cells.
+ * Cells, neighbours and pairs are the host's and take a context of the processor; geometry/grid.h is what kernels of any
+ * device make of points.
  *
  *     hg_cells cells = { 0 };
  *     hg_cells_build(ctx, &cells, HG_F32, n, points, radius);
