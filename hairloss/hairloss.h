@@ -142,6 +142,9 @@ typedef struct {
     const hg_frame_input *inputs; int n_inputs;
 } hg_frame;
 
+/* Of the processor. A GPU has one way, CUDA printed for the sum of energies at hand and compiled when it is first launched: AUTO
+ * and COMPILED are that, INTERPRETER is refused. What a call brings in a GPU's memory is not read by the host, so that it waits
+ * for nothing: a "dt" is not checked there, and a "distance" of contact that is a tensor gives the search for contact no bound. */
 typedef enum { HG_BACKEND_AUTO, HG_BACKEND_INTERPRETER, HG_BACKEND_COMPILED } hg_backend;
 
 typedef struct hg_physics hg_physics;
@@ -150,7 +153,7 @@ void       hg_physics_destroy(hg_physics *physics);
 hg_status  hg_physics_backend(hg_physics *physics, hg_backend backend);            /* COMPILED: built in, from the cache, or by the C compiler now; fails, and says why, where none of them is possible. AUTO: the same for a groom that is large enough to win the second back, else interpreted */
 const char *hg_physics_backend_name(const hg_physics *physics);                    /* "compiled avx512", "compiled avx512 by gcc 12.2.0" or "interpreter", for the log; of the last call */
 const char *hg_physics_backend_note(const hg_physics *physics);                    /* how long it took to compile, or why it could not be; "" when there is nothing to say */
-/* One scalar; unweighted [n terms] f64 read-outs (may be NULL). Value and gradient are made in one pass. Differentiable in x,
+/* One scalar; unweighted [n terms] f64 read-outs of the host (may be NULL; a GPU is waited for). Value and gradient are made in one pass. Differentiable in x,
  * root_rotation, root_position, posed, predicted, previous and every tensor of frame->inputs: a gradient is made for those that
  * need one when the call is recorded. Contact is detached: a body_vertices that needs a gradient is an error, and so is a
  * parameter that makes a list. What is asked for changes the program (what is differentiated is not hoisted): a few

@@ -107,9 +107,66 @@ static void test_launches(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* A recorded step: value and gradient by a learnt parameter and by x, with other numbers in every step; replayed, without
+ * waiting, it is what it is when it is not recorded. */
+static void test_recorded(void **state)
+{
+    (void)state;
+    enum { STEPS = 5, V = 9, N = B * S * V * 3 };
+    hg_ctx *ctx = make_context(1);
+    scene s;
+    scene_make(&s, 2, B, S, V, 0.3);
+    hg_term terms[USUAL_TERMS];
+    const int n = usual_terms(1, terms); /* contact, inertia and drag are in it */
+    hg_physics *physics;
+    ok(hg_physics_create(&physics, ctx, HG_F32, terms, n, &s.data), "recorded");
+    hg_tensor *stiffness = hg_tensor_create(ctx, HG_F32, 0, NULL);
+    ok(hg_tensor_fill(stiffness, 7), "recorded");
+    ok(hg_require_grad(stiffness), "recorded");
+    float *positions = hg_alloc(N, sizeof *positions);
+    double got[2][N + 2];
+    hg_device_counts before = { 0 }, after = { 0 };
+    for (int step = 0; step < 2 * STEPS; step++) {
+        const bool recorded = step >= STEPS;
+        if (step == STEPS + 3) before = hg_ctx_counts(ctx);
+        hg_step_reset(ctx);
+        const uint64_t seed = (uint64_t)(step % STEPS);
+        s.groom[0] = step % STEPS == 3;
+        for (int i = 0; i < N; i++) positions[i] = (float)(s.x[i] + 1e-4 * noise(80 + seed, i));
+        if (recorded) ok(hg_step_record(ctx), "recorded");
+        hg_frame frame = scene_frame(&s, ctx, HG_F32);
+        frame.inputs = &(hg_frame_input){ "stretch.stiffness", stiffness };
+        frame.n_inputs = 1;
+        hg_tensor *x = hg_tensor_from(ctx, HG_F32, 4, (int64_t[]){ B, S, V, 3 }, positions);
+        ok(hg_require_grad(x), "recorded");
+        hg_tensor *energy = hg_physics_energy(physics, ctx, &frame, x, NULL);
+        if (!energy) fail_msg("%s", hg_ctx_message(ctx));
+        ok(hg_backward(ctx, energy), "recorded");
+        if (recorded) ok(hg_step_run(ctx), "recorded");
+        if (step == 2 * STEPS - 1) after = hg_ctx_counts(ctx);
+        if (step % STEPS != STEPS - 1) continue;
+        double *to = got[recorded];
+        ok(hg_tensor_numbers(hg_grad(x), to), "recorded");
+        to[N] = value(hg_grad(stiffness), 0);
+        to[N + 1] = value(energy, 0);
+    }
+    assert_memory_equal(got[0], got[1], sizeof got[0]);
+    assert_true(got[0][N] != 0 && got[0][N + 1] > 0);
+    if (!hg_ctx_host(ctx)) {
+        assert_int_equal(after.replays - before.replays, STEPS - 3);
+        assert_int_equal(after.waits - before.waits, 0);
+        assert_int_equal(after.downloaded - before.downloaded, 0);
+    }
+    hg_free(positions);
+    hg_tensor_destroy(stiffness);
+    hg_physics_destroy(physics);
+    scene_free(&s);
+    hg_ctx_destroy(ctx);
+}
+
 int main(void)
 {
     const struct CMUnitTest tests[] = { cmocka_unit_test(test_each), cmocka_unit_test(test_sums),
-                                        cmocka_unit_test(test_launches) };
+                                        cmocka_unit_test(test_launches), cmocka_unit_test(test_recorded) };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }
