@@ -91,6 +91,7 @@ static void one_step(training *t)
     hg_profile_begin(t->ctx, "step", "sample");
     bench_need(task->sample(task->self, t->ctx, 1, t->step++ % 40, t->batch));
     hg_profile_end(t->ctx, 0);
+    bench_need(hg_step_record(t->ctx));
     hg_profile_begin(t->ctx, "step", "loss");
     hg_tensor *loss = task->loss(task->self, t->ctx, model, t->batch, &report);
     hg_profile_end(t->ctx, 0);
@@ -99,7 +100,8 @@ static void one_step(training *t)
     bench_need(hg_backward(t->ctx, loss));
     hg_profile_end(t->ctx, 0);
     /* a rate of zero: all the work of a step, and the same frames again find the same contacts */
-    bench_need(hg_adam_step(t->adam, 0, o.beta1, o.beta2, o.epsilon, 0, o.clip, &norm));
+    bench_need(hg_adam_step(t->adam, 0, o.beta1, o.beta2, o.epsilon, 0, o.clip, hg_ctx_host(t->ctx) ? &norm : NULL));
+    bench_need(hg_step_run(t->ctx));
     hg_profile_step(t->ctx);
 }
 
@@ -128,6 +130,7 @@ static void steps(void *self, double *ms, int n)
     for (int i = -1; i < n; i++) {
         const double start = bench_now();
         one_step(t);
+        bench_need(hg_ctx_wait(t->ctx));
         if (i >= 0) ms[i] = bench_now() - start;
     }
     bench_need(hg_ctx_compute(t->ctx, HG_F32));
@@ -142,8 +145,8 @@ static void write_arrays(bench *b, const training *t)
     const int32_t *faces = hg_poser_collider(task->poser, &n_faces);
     const hg_hair_batch *batch = hg_hair_batch_lay_out(task, t->batch, 1, S);
     hg_model *model = hg_hair_model(t->task);
-    bench_write(b, "strand", HG_F32, 2, (int64_t[]){ S, task->strand_inputs }, subset->features->data);
-    bench_write(b, "rest", HG_F32, 3, (int64_t[]){ S, V, 3 }, subset->rest->data);
+    bench_write_tensor(b, "strand", subset->features);
+    bench_write_tensor(b, "rest", subset->rest);
     bench_write(b, "inputs", HG_F32, 2, (int64_t[]){ 3, F }, batch->inputs);
     bench_write(b, "rotation", HG_F32, 3, (int64_t[]){ 3, S, 4 }, batch->rotation);
     bench_write(b, "position", HG_F32, 3, (int64_t[]){ 3, S, 3 }, batch->position);
@@ -161,7 +164,7 @@ static void write_arrays(bench *b, const training *t)
     for (int i = 0; i < model->n_params; i++) {
         char name[24];
         snprintf(name, sizeof name, "model%d", i);
-        bench_write(b, name, HG_F32, model->params[i]->rank, model->params[i]->shape, model->params[i]->data);
+        bench_write_tensor(b, name, model->params[i]);
     }
 }
 
@@ -232,8 +235,7 @@ static int same_steps(training *one, training *two)
     }
     const hg_model *a = hg_hair_model(one->task), *z = hg_hair_model(two->task);
     for (int i = 0; i < a->n_params; i++)
-        same &= !memcmp(a->params[i]->data, z->params[i]->data, hg_tensor_bytes(a->params[i])) &&
-                !memcmp(hg_grad(a->params[i])->data, hg_grad(z->params[i])->data, hg_tensor_bytes(a->params[i]));
+        same &= bench_same(a->params[i], z->params[i]) && bench_same(hg_grad(a->params[i]), hg_grad(z->params[i]));
     return same;
 }
 

@@ -334,6 +334,7 @@ static void trainer_equals_steps_by_hand(void **state)
             assert_int_equal(hg_train(ctx, model, &task, &options, NULL, NULL), HG_OK);
             const hg_device_counts counts = hg_ctx_counts(ctx);
             if (!hg_ctx_host(ctx)) assert_true(counts.replays >= 20);
+            assert_int_equal(counts.waits, 0);
         }
         weights[by_hand] = weights_of(model, by_hand ? &same : &bytes);
         hg_model_destroy(model);
@@ -426,8 +427,9 @@ static void resumed_equals_uninterrupted(void **state)
     (void)state;
     hg_train_result whole, part;
     size_t bytes, same;
-    float *expected = toy_run("whole", 2, toy_options(), &whole, &bytes);
     hg_train_options options = toy_options();
+    options.ema = 0.95; /* the average is in the checkpoint too */
+    float *expected = toy_run("whole", 2, options, &whole, &bytes);
     stop_at stop = { .at = 67 };
     options.stop = stop_now;
     options.stop_self = &stop;
@@ -485,6 +487,32 @@ static void resume_refuses(void **state)
     hg_model_destroy(model);
     hg_model_destroy(wide);
     hg_ctx_destroy(ctx);
+}
+
+/* Another device rounds differently: it is refused like another back end. */
+static void resume_on_another_device_is_refused(void **state)
+{
+    (void)state;
+    if (!test_device()) skip();
+    hg_train_result result;
+    size_t bytes;
+    char path[320];
+    hg_train_options options = toy_options();
+    options.steps = 10;
+    free(toy_run("device", 1, options, &result, &bytes));
+    hg_ctx *host = make_ctx_on("cpu", 1);
+    hg_model *model = toy_model(host);
+    snprintf(path, sizeof path, "%s/device", folder);
+    options.folder = path;
+    options.resume = true;
+    assert_int_equal(hg_train(host, model, &toy, &options, NULL, NULL), HG_INVALID);
+    if (!strstr(hg_message(), "\"toy on cuda\" and this is \"toy\"")) fail_msg("%s", hg_message());
+    options.allow_other_backend = true;
+    options.steps = 12;
+    assert_int_equal(hg_train(host, model, &toy, &options, NULL, &result), HG_OK);
+    assert_int_equal(result.steps, 12);
+    hg_model_destroy(model);
+    hg_ctx_destroy(host);
 }
 
 /* ---- checkpoints -------------------------------------------------------------------------------------------- */
@@ -570,6 +598,7 @@ int main(void)
         cmocka_unit_test(bad_loss_ends_a_training),
         cmocka_unit_test(resumed_equals_uninterrupted),
         cmocka_unit_test(resume_refuses),
+        cmocka_unit_test(resume_on_another_device_is_refused),
         cmocka_unit_test(broken_checkpoint_leaves_the_old_one),
         cmocka_unit_test(wrong_checkpoints_are_refused),
     };

@@ -43,6 +43,8 @@ typedef struct {
     void *self;
     size_t batch_bytes; /* the trainer owns one batch of this size, zeroed once */
     hg_status (*sample)(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch); /* pure: resume is exact */
+    /* On a device this is recorded (hg_step_record): read nothing here, or the host waits. The batch goes there by hg_tensor_from,
+     * which copies at once, so that `sample` fills it again while the device still computes. */
     hg_tensor *(*loss)(void *self, hg_ctx *ctx, hg_model *model, const void *batch, hg_report *report);
     hg_status (*validate)(void *self, hg_ctx *ctx, hg_model *model,
                           hg_report *report);   /* adds "validation"; NULL: none */

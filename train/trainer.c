@@ -313,7 +313,8 @@ static hg_status prepare(run *r)
     r->batch = hg_alloc(1, r->task->batch_bytes ? r->task->batch_bytes : 1);
     if (!r->batch) return HG_MEMORY;
     const char *backend = r->options->backend ? r->options->backend : "";
-    r->backend = hg_ctx_host(r->ctx) ? hg_strdup(backend) : hg_format("%s on %s", backend, hg_ctx_device(r->ctx));
+    const bool said = hg_ctx_host(r->ctx) || strstr(backend, hg_ctx_device(r->ctx));
+    r->backend = said ? hg_strdup(backend) : hg_format("%s on %s", backend, hg_ctx_device(r->ctx));
     if (!r->backend) return HG_MEMORY;
     HG_TRY(hg_adam_create(&r->adam, r->ctx, r->model->n_params, r->model->params));
     if (r->options->ema > 0) HG_TRY(hg_average_create(&r->average, r->ctx, r->model->n_params, r->model->params));
