@@ -200,7 +200,9 @@ void hg_pair_items(const hg_call *call, int item_axes, int64_t item, int64_t at[
  * with WA_, WB_ and OUT_ elements to an item of a, b and the output. Then HG_PAIR_KERNELS(NAME_, ...) in the NAME.kernel.h. */
 #ifdef HG_CUDA
 #define HG_PAIR_STEP(j_) 0
+#define HG_STRETCH       HG_BODY
 #else
+#define HG_STRETCH       static __attribute__((noinline)) /* its loops are slower between the variables of the walk */
 #define HG_PAIR_STEP(j_) p->plan.step[j_]
 #endif
 #define HG_PAIR_WALK(...)                                                                                              \
