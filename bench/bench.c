@@ -185,6 +185,8 @@ static void start(bench *b)
 static void end(bench *b)
 {
     char command[300];
+    hg_step_reset(b->host);
+    hg_hair_task_destroy(b->task[2]);
     for (int c = 0; c < 2; c++) {
         hg_step_reset(b->ctx[c]);
         hg_hair_task_destroy(b->task[c]);

@@ -32,7 +32,7 @@ typedef struct bench {
     int rounds;                  /* turns of each side */
     bench_result result[64];
     int n;
-    struct hg_hair_task *task[2]; /* made when first asked for, one per context */
+    struct hg_hair_task *task[3]; /* made when first asked for, one per context; [2] on the host beside a device */
     char scene[96];
 } bench;
 
@@ -70,7 +70,9 @@ bench_side bench_peer_side(bench_peer *peer, const char *variant, const char *la
 /* An array as a .npy file in the folder. */
 void bench_write(bench *b, const char *name, hg_dtype dtype, int rank, const int64_t *shape, const void *data);
 
-struct hg_hair_task *bench_task(bench *b, int threads); /* 3,000 strands of 25 vertices on a body, all energies */
+struct hg_hair_task *
+bench_task(bench *b,
+           int threads); /* 3,000 strands of 25 vertices on a body, all energies; threads 0: one of the host */
 bool bench_steady_begin(bench *b, int64_t state[3]);
 int bench_steady(bench *b, const int64_t state[3]); /* 1: nothing was allocated since */
 

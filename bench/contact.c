@@ -198,7 +198,7 @@ static double disagreement(const closest *a, const closest *e, int frame)
 
 void bench_body_collision(bench *b)
 {
-    hg_hair_task *task = bench_task(b, 2);
+    hg_hair_task *task = bench_task(b, 0);
     const int64_t S = task->subset.n, V = task->groom->vertices, n = S * V, N = task->body->vertices,
                   F = task->body->faces;
     const int32_t *faces = task->body->triangles;
@@ -213,10 +213,10 @@ void bench_body_collision(bench *b)
     if (!rest || !vertices || !points || !rotation || !position || !strands) bench_need(HG_MEMORY);
     bench_need(hg_tensor_read(task->subset.rest, strands));
     for (int f = 0; f < FRAMES; f++) { /* a groom that follows the head, a little behind */
-        bench_need(hg_pose(b->ctx[1], poser, NULL, task->clips[0][0].motion, 10 + f, vertices + f * 3 * N, NULL, NULL));
-        bench_need(hg_pose_roots(b->ctx[1], poser, task->groom, task->subset.strand, S, vertices + f * 3 * N, rotation,
+        bench_need(hg_pose(b->host, poser, NULL, task->clips[0][0].motion, 10 + f, vertices + f * 3 * N, NULL, NULL));
+        bench_need(hg_pose_roots(b->host, poser, task->groom, task->subset.strand, S, vertices + f * 3 * N, rotation,
                                  position));
-        hg_pose_strands(b->ctx[1], S, V, strands, rotation, position, points + f * 3 * n);
+        hg_pose_strands(b->host, S, V, strands, rotation, position, points + f * 3 * n);
         for (int64_t i = 0; i < 3 * n; i++)
             points[f * 3 * n + i] += (float)(5e-4 * hg_random_normal(5, (uint64_t)f, (uint64_t)i));
     }
