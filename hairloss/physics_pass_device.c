@@ -35,13 +35,9 @@ static hg_status sum_all(const hg_pass *pass, hg_ctx *ctx, int64_t n, const doub
     double *sums = hg_step_device(ctx, (size_t)chunks * sizeof(double) + 1);
     if (!sums) return HG_MEMORY;
     const sum_args first = { .from = from, .n = n, .chunk = SUM_CHUNK, .to = sums, .scale = 1 };
-    const sum_args second = { .from = sums,
-                              .n = chunks,
-                              .chunk = chunks,
-                              .to = to,
-                              .gradient = gradient,
-                              .scale = scale,
-                              .dtype = pass->dtype };
+    const sum_args second = {
+        .from = sums, .n = chunks, .chunk = chunks, .to = to, .gradient = gradient, .scale = scale, .dtype = pass->dtype
+    };
     HG_TRY(hg_launch(ctx, &sum_chunks_kernel, chunks, &first));
     return hg_launch(ctx, &sum_chunks_kernel, 1, &second);
 }
