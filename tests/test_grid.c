@@ -201,7 +201,7 @@ static void test_strays(void **state)
     (void)state;
     scatter(0.1, 0.1, 0.1);
     points[3 * 10] = 1e6;
-    points[3 * 20 + 1] = -1e30f;
+    points[3 * 20 + 1] = -(double)1e30f;
     points[3 * 21 + 1] = (double)3e38f;
     points[3 * 30 + 2] = (double)NAN;
     points[3 * (N + 5)] = (double)INFINITY;
