@@ -33,7 +33,6 @@ static hg_status open_dnn(hg_cuda_device *d)
 {
     if (d->dnn) return HG_OK;
     HG_TRY(hg_cuda_dnn_library(&d->dnn_api));
-    HG_TRY(hg_cuda_enter(d));
     cudnnHandle_t dnn;
     HG_TRY(check(d, d->dnn_api->cudnnCreate(&dnn), "its start"));
     const hg_status status = check(d, d->dnn_api->cudnnSetStream(dnn, d->stream), "its stream");
@@ -172,6 +171,7 @@ hg_status hg_cuda_convolve_workspace(hg_device *device, int threads, const hg_co
     shape *s;
     int64_t counts[3];
     (void)threads;
+    HG_TRY(hg_cuda_enter(d)); /* cuDNN looks at the device when it is asked */
     HG_TRY(open_dnn(d));
     HG_TRY(find(d, call, &s));
     HG_TRY(ask_workspace(d, s, call->which));
