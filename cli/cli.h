@@ -36,8 +36,8 @@ hg_progress cli_progress(void);                               /* one line on std
 void        cli_progress_end(void);
 bool        cli_context(hg_ctx **ctx, const hg_arguments *arguments);             /* --threads, --seed; the cpu unless the command has --device */
 #define CLI_CONTEXT_OPTIONS { "threads", "N", "threads to use (default: all cores)", false }, { "seed", "N", "seed of everything random (default 1)", false }
-#define CLI_DEVICE_OPTION { "device", "NAME", "cpu, cuda, cuda:NUMBER or auto (default " CLI_DEVICE "); hairgrad devices lists them", false }
-#define CLI_DEVICE "cpu"
+#define CLI_DEVICE_OPTION { "device", "NAME", "cpu, cuda, cuda:NUMBER or auto: cuda where it works (default " CLI_DEVICE "); hairgrad devices lists them", false }
+#define CLI_DEVICE "auto"
 /* --trap-nan: the trap is set, and writes nan.h5 into the folder (made where it is not there). path is the caller's. */
 hg_status   cli_trap(hg_ctx *ctx, const hg_arguments *arguments, const char *folder, char **path);
 #define CLI_TRAP_OPTION { "trap-nan", NULL, "stop at the first number that is not finite: op or energy, strand, vertex; nan.h5 has what reproduces it", false }
