@@ -172,6 +172,37 @@ static void test_launch_errors(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* An error of a kernel is heard of later: what was launched since the last wait is named. */
+static void test_late_errors(void **state)
+{
+    NEEDS_DEVICE();
+    if (!emulated()) skip();
+    hg_ctx *ctx = make_ctx();
+    hg_tensor *x = own(ctx, 8);
+    float numbers[8];
+    assert_int_equal(hg_ctx_wait(ctx), HG_OK);
+    run_line(ctx, x, 1, 1, x);
+    setenv("EMULATOR_FAIL", "1", 1);
+    assert_int_equal(hg_ctx_wait(ctx), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "cuda: line: CUDA_ERROR_UNKNOWN"));
+    hg_ctx_clear(ctx);
+    for (int i = 0; i < 3; i++) run_line(ctx, x, 1, 1, x);
+    assert_int_equal(hg_tensor_read(x, numbers), HG_NUMERIC);
+    assert_non_null(
+        strstr(hg_message(), "cuda: one of the last 3 kernels and products, which end with line: CUDA_ERROR_"));
+    assert_int_equal(hg_step_record(ctx), HG_OK);
+    run_line(ctx, x, 1, 1, x);
+    assert_int_equal(hg_step_run(ctx), HG_OK);
+    assert_int_equal(hg_ctx_wait(ctx), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "cuda: line: "));
+    hg_ctx_clear(ctx);
+    unsetenv("EMULATOR_FAIL");
+    assert_int_equal(hg_tensor_read(x, numbers), HG_OK);
+    assert_true(numbers[0] == 5);
+    hg_tensor_destroy(x);
+    hg_ctx_destroy(ctx);
+}
+
 /* Kernels come and go, at addresses that were another's before. */
 static void test_kernels_by_address(void **state)
 {
@@ -594,11 +625,17 @@ int main(int count, char **words)
 {
     if (count > 1 && strcmp(words[1], "--why") == 0) return say_why();
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_copies),        cmocka_unit_test(test_out_of_memory),
-        cmocka_unit_test(test_launch_errors), cmocka_unit_test(test_kernels_by_address),
-        cmocka_unit_test(test_replay),        cmocka_unit_test(test_record_ends),
-        cmocka_unit_test(test_two_contexts),  cmocka_unit_test(test_threads),
-        cmocka_unit_test(test_cache),         cmocka_unit_test(test_names),
+        cmocka_unit_test(test_copies),
+        cmocka_unit_test(test_out_of_memory),
+        cmocka_unit_test(test_launch_errors),
+        cmocka_unit_test(test_late_errors),
+        cmocka_unit_test(test_kernels_by_address),
+        cmocka_unit_test(test_replay),
+        cmocka_unit_test(test_record_ends),
+        cmocka_unit_test(test_two_contexts),
+        cmocka_unit_test(test_threads),
+        cmocka_unit_test(test_cache),
+        cmocka_unit_test(test_names),
         cmocka_unit_test(test_refusals),
     };
     return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);

@@ -12,6 +12,7 @@
  *   EMULATOR_NO_KEYS=1         device memory is protected page by page, as on processors without protection keys
  *   EMULATOR_NO_DEVICE=1       a driver without a GPU
  *   EMULATOR_NO_CAPTURE=1      no stream can be captured
+ *   EMULATOR_FAIL=1            who waits for a stream hears of an error
  *   EMULATOR_DRIVER=11080      the driver's version, as cuDriverGetVersion gives it (13000) */
 #ifndef EMULATOR_H
 #define EMULATOR_H

@@ -257,7 +257,7 @@ int cuStreamSynchronize(void *handle)
     }
     if (const int failed = in_capture("cuStreamSynchronize")) return failed;
     drain(*s, UINT64_MAX);
-    return SUCCESS;
+    return setting("EMULATOR_FAIL") ? UNKNOWN : SUCCESS;
 }
 /* Time passes while somebody asks: one operation a question. */
 int cuStreamQuery(void *handle)
