@@ -1,5 +1,5 @@
 /* Kernels of activate. Which function it is, is the same for all threads. */
-#include "autograd/activation.kernel.h"
+#include "autograd/activation_kernel.h"
 
 typedef struct {
     int activation, fresh;

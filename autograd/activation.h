@@ -2,7 +2,7 @@
 #ifndef HG_AUTOGRAD_ACTIVATION_H
 #define HG_AUTOGRAD_ACTIVATION_H
 
-#include "autograd/activation.kernel.h"
+#include "autograd/activation_kernel.h"
 #include "autograd/tape.h"
 
 bool hg_activation_saves_derivative(hg_activation activation); /* else the backward works from the output */

@@ -1,5 +1,5 @@
 /* Kernels of the linear family, element by element: what stands beside the products where they are not fused. */
-#include "autograd/activation.kernel.h"
+#include "autograd/activation_kernel.h"
 
 typedef struct {
     int activation;

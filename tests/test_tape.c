@@ -314,6 +314,11 @@ static void test_index_is_analysed_once(void **state)
     assert_null(hg_gather(ctx, a, index));
     assert_non_null(strstr(hg_ctx_message(ctx), "index 3 is 9, there are 3 rows"));
     hg_ctx_clear(ctx);
+    /* Rows of what has no gradient are taken too. */
+    assert_int_equal(hg_tensor_write(index, (int32_t[]){ 2, 1, 0, 1 }), HG_OK);
+    hg_tensor *half = hg_tensor_make(ctx, HG_BF16, 1, (int64_t[]){ 3 });
+    assert_int_equal(hg_tensor_copy(half, a), HG_OK);
+    assert_true(hg_tensor_item(hg_gather(ctx, half, index), 0) == 5);
     hg_tensor_destroy(index);
     hg_tensor_destroy(a);
     hg_ctx_destroy(ctx);

@@ -1,7 +1,7 @@
 /* Kernels of Adam; an index is a piece of a parameter. */
 #include "tensor/block.h"
 
-#include "train/chunk.kernel.h"
+#include "train/chunk_kernel.h"
 
 /* What changes with the step, on the device. */
 typedef struct {

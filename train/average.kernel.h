@@ -1,5 +1,5 @@
 /* The kernel of the moving average; an index is a piece of a parameter. */
-#include "train/chunk.kernel.h"
+#include "train/chunk_kernel.h"
 
 typedef struct {
     const hg_chunk *chunks;

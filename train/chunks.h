@@ -2,7 +2,7 @@
 #ifndef HG_TRAIN_CHUNKS_H
 #define HG_TRAIN_CHUNKS_H
 
-#include "train/chunk.kernel.h"
+#include "train/chunk_kernel.h"
 #include "train/train.h"
 
 typedef struct {
