@@ -35,7 +35,7 @@
 #include <stdint.h>
 #include <string.h>
 
-#ifdef HG_CUDA /* set by whoever compiles the text: there the headers above are empty, these types are the compiler's */
+#ifdef HG_CUDA /* set by whoever compiles the text: NVRTC has empty headers in their place, but for the types of stdint.h */
 
 #define HG_BODY  static __device__ inline
 #define HG_SIMD_ /* a thread has one lane */
