@@ -144,10 +144,9 @@ hg_status hg_adam_step(hg_adam *adam, double learning_rate, double beta1, double
                              .loss_f64 = loss && loss->dtype == HG_F64 ? loss->data : NULL };
     hg_profile_begin(ctx, "optimiser", "gradient norm");
     HG_TRY(hg_launch(ctx, &adam_norm_kernel, args.n_chunks, &args));
+    if (adam->found) HG_TRY(hg_launch(ctx, &adam_clip_kernel, 1, &args));
     hg_profile_end(ctx, 4 * adam->chunks.total);
-    if (adam->found) {
-        HG_TRY(hg_launch(ctx, &adam_clip_kernel, 1, &args));
-    } else {
+    if (!adam->found) {
         const hg_status status = clip(adam);
         if (gradient_norm) *gradient_norm = adam->state.norm;
         if (status != HG_OK) {
