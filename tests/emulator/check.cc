@@ -174,6 +174,7 @@ void check_begin_kernel()
 void check_begin_block()
 {
     block_began = ++now;
+    if (!running->what->home->contents->checked) return;
     const int n = (int)(state.block_size.x * state.block_size.y * state.block_size.z);
     for (int k = 0; k < n; k++) {
         memset(clocks[k], 0, sizeof clocks[k]);
@@ -183,6 +184,7 @@ void check_begin_block()
 void check_barrier() { now++; }
 void check_syncwarp(int warp, unsigned mask)
 {
+    if (!running->what->home->contents->checked) return;
     uint32_t all[WARP] = { 0 };
     for (int l = 0; l < WARP; l++)
         for (int k = 0; k < WARP && (mask >> l & 1u); k++)
