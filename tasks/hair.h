@@ -222,10 +222,6 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
                              int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material);
-/* Roots [3B,S,..] and bodies at t [B,N,3] of the step: the batch's, or made of what moves them. */
-hg_status hg_hair_bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
-                                   const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
-                                   hg_tensor **body);
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);
 void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
 

@@ -207,9 +207,10 @@ static hg_tensor *predict_rows(const hg_hair_task *task, hg_ctx *ctx, const hg_h
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
 
-hg_status hg_hair_bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
-                                   const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
-                                   hg_tensor **body)
+/* Roots [3B,S,..] and bodies at t [B,N,3]: from the batch, or made here from what moves them. */
+static hg_status bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
+                                  const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
+                                  hg_tensor **body)
 {
     const int64_t B = batch->frames, S = batch->strands;
     if (!batch->transform) {
@@ -238,8 +239,7 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
     const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
     hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
     hg_tensor *rotation, *position, *body;
-    if (!inputs || hg_hair_bodies_and_roots(task, ctx, batch, subset, &rotation, &position, &body) != HG_OK)
-        return NULL;
+    if (!inputs || bodies_and_roots(task, ctx, batch, subset, &rotation, &position, &body) != HG_OK) return NULL;
 
     /* What belongs to the strands is the same at the three times. */
     const batch_tensors in = { model->strand_part(model->self, ctx, subset->features), inputs, rotation, position };
