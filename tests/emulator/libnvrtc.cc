@@ -1,7 +1,7 @@
 /* An emulating libnvrtc.so: the source that it is given is compiled by the system's C++ compiler ($CXX or c++), with shim.h before
  * it. What it makes is a shared object for the emulating driver, with its size in front.
  *
- *   EMULATOR_CHECK=1         each access is checked by the driver (check.cc), undefined behaviour traps
+ *   EMULATOR_CHECK=1         each access is checked by the driver (check.cc), undefined behaviour traps; gcc alone
  *   EMULATOR_COVERAGE=DIR    lines are counted: DIR gets a folder for each compilation, for gcov
  *   EMULATOR_FLAGS="..."     of the compiler, instead of -O1 */
 #include <limits.h>
@@ -54,7 +54,8 @@ std::string coverage() { return variable("EMULATOR_COVERAGE", ""); }
 
 std::string flags()
 {
-    std::string all = "-x c++ -w -fPIC -fno-gnu-unique -fvisibility=hidden -ffp-contract=off -fno-exceptions ";
+    std::string all = "-x c++ -w -fPIC -fvisibility=hidden -ffp-contract=off -fno-exceptions ";
+    if (compiler().find("clang") == std::string::npos) all += "-fno-gnu-unique "; /* or the module would never be unloaded */
     all += coverage().empty() ? variable("EMULATOR_FLAGS", "-O1") : "-O0 --coverage -fprofile-update=single";
     if (setting("EMULATOR_CHECK"))
         all += " -g1 -DEMULATOR_CHECKED -fsanitize=thread -fsanitize=undefined -fno-sanitize=vptr,object-size -fsanitize-undefined-trap-on-error";
