@@ -16,7 +16,7 @@ for library in "$build"/tests/emulator/*.so.*; do
     case $library in *nvrtc*) ;; *.p) ;; *) ln -s "$library" "$folder/" ;; esac
 done
 wrong=0
-for test in ${PTX_TESTS:-test_ops test_product test_validate test_grid test_energies test_passes}; do
+for test in ${PTX_TESTS:-test_ops test_product test_validate test_grid test_energies test_passes test_body_tree test_pose}; do
     [ -x "$build/tests/$test" ] || continue
     grep -q 'test_device()' "$HG_SOURCE/tests/$test.c" || continue
     if HG_TEST_DEVICE=cuda EMULATOR_CAPABILITY=99 EMULATOR_ORDER=2 LD_LIBRARY_PATH="$folder:$nvrtc" "$build/tests/$test" >"$folder/log" 2>&1; then
