@@ -194,6 +194,19 @@ static void test_tensors(void **state)
     hg_ctx_destroy(ctx);
 }
 
+/* What a device can do at best is measured on it, with kernels of its own. */
+static void test_limits_of_device(void **state)
+{
+    (void)state;
+    hg_ctx *ctx = make_ctx(1);
+    double operations = 0, bytes = 0;
+    if (!hg_ctx_host(ctx)) { /* the processor's take a while; test_profile */
+        assert_int_equal(hg_machine_limits(ctx, &operations, &bytes), HG_OK);
+        assert_true(operations > 0 && bytes > 0);
+    }
+    hg_ctx_destroy(ctx);
+}
+
 static void test_conversions(void **state)
 {
     (void)state;
@@ -204,9 +217,11 @@ static void test_conversions(void **state)
     assert_int_equal(hg_tensor_write(wide, values), HG_OK);
     for (int t = 0; t < 4; t++) {
         hg_tensor *narrow = hg_tensor_make(ctx, types[t], 2, (int64_t[]){ 2, 4 }),
+                  *same = hg_tensor_make(ctx, types[t], 1, (int64_t[]){ 8 }),
                   *back = hg_tensor_make(ctx, HG_F64, 1, (int64_t[]){ 8 });
         assert_int_equal(hg_tensor_copy(narrow, wide), HG_OK);
-        assert_int_equal(hg_tensor_copy(back, narrow), HG_OK);
+        assert_int_equal(hg_tensor_copy(same, narrow), HG_OK);
+        assert_int_equal(hg_tensor_copy(back, same), HG_OK);
         for (int i = 0; i < 8; i++) {
             double x = hg_tensor_item(back, i), expected = values[i];
             if (types[t] == HG_F32) expected = (double)(float)expected;
@@ -275,6 +290,7 @@ int main(void)
         cmocka_unit_test(test_errors_stick),
         cmocka_unit_test(test_tensors),
         cmocka_unit_test(test_conversions),
+        cmocka_unit_test(test_limits_of_device),
         cmocka_unit_test(test_launch_covers_blocks),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
