@@ -1,5 +1,5 @@
 /* The entry points of CUDA that are called, as typed tables: nothing of CUDA is linked or needed to build. They are filled by
- * library.c when a CUDA device is first asked for. Types and signatures are those of NVIDIA's headers (driver API of CUDA 12.4
+ * library.c when a CUDA device is first asked for. Types and signatures are those of NVIDIA's headers (driver API of CUDA 12.0
  * and later, NVRTC, cuBLAS 12, cuDNN 9), against which tests/test_cuda_headers.c holds them where those are installed. */
 #ifndef HG_TENSOR_CUDA_API_H
 #define HG_TENSOR_CUDA_API_H
