@@ -38,7 +38,7 @@ int cuStreamBeginCapture_v2(void *handle, int mode)
     s->captured->mode = mode;
     s->captured->thread = pthread_self();
     s->captured->origin = s.get();
-    s->captured->members = { s.get() };
+    s->captured->members.assign(1, s.get());
     s->last = s->joined = 0;
     return SUCCESS;
 }
