@@ -24,7 +24,7 @@ done
 [ "$(number 'at every site')" -gt "$at_site" ] && [ "$(number 'once per groom and site')" -lt "$hoisted" ] && ok "what is differentiated is not hoisted" || wrong "what is differentiated is not hoisted"
 "$hairgrad" trace bend_twist --set bend_twist.strain=smooth >"$work/log" 2>&1 && grep -q 'strain = smooth' "$work/log" && [ "$(number 'with the derivative')" != "$published" ] && ok "an option" || wrong "an option"
 "$hairgrad" trace stretch gravity --c >"$work/log" 2>&1 && grep -q '^static void kernel' "$work/log" && grep -q 'energy\[1\] +=' "$work/log" && ok "C of a sum" || wrong "C of a sum"
-"$hairgrad" trace stretch gravity --cuda >"$work/log" 2>&1 && grep -q '^extern "C" __global__ void kernel' "$work/log" && ! grep -q atomic "$work/log" && ok "CUDA of a sum" || wrong "CUDA of a sum"
+"$hairgrad" trace stretch gravity --cuda >"$work/log" 2>&1 && grep -q '^extern "C" __global__ void' "$work/log" && grep -q 'kernel_cuda(' "$work/log" && ! grep -q atomic "$work/log" && ok "CUDA of a sum" || wrong "CUDA of a sum"
 refused "no such energy" "did you mean 'stretch'" "$hairgrad" trace strech
 refused "no such option" 'did you mean "strain"' "$hairgrad" trace bend_twist --set strian=smooth
 refused "no such choice" "possible are published|smooth" "$hairgrad" trace bend_twist --set strain=rough
