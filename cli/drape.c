@@ -81,7 +81,7 @@ static int drape(const hg_arguments *arguments)
         hg_fail(HG_INVALID, "drape: where should the drape go? -o FILE.vtkhdf");
         return cli_fail();
     }
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     const hg_status status = drape_run(ctx, arguments, path);
     hg_ctx_destroy(ctx);
     return status == HG_OK ? 0 : cli_fail();

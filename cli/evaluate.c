@@ -99,7 +99,7 @@ static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments)
 static int evaluate(const hg_arguments *arguments)
 {
     hg_ctx *ctx = NULL;
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     char *trap = NULL;
     hg_status status = cli_trap(ctx, arguments, arguments->free[0], &trap);
     if (status == HG_OK) status = evaluate_run(ctx, arguments);

@@ -48,7 +48,7 @@ static int export(const hg_arguments *arguments)
         return cli_fail();
     }
     hg_ctx *ctx = NULL;
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     hg_status status = export_run(ctx, arguments->free[0], to, factored, path);
     hg_ctx_destroy(ctx);
     return status == HG_OK ? 0 : cli_fail();

@@ -89,7 +89,7 @@ static int fit(const hg_arguments *arguments)
         if (!strcmp(arguments->given[i].name, "parameter")) names[options.material.n++] = arguments->given[i].value;
     if (!options.material.n) names[options.material.n++] = "bend_twist.stiffness";
     hg_ctx *ctx = NULL;
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     const hg_status status = fit_run(ctx, arguments, &options);
     hg_ctx_destroy(ctx);
     return status == HG_OK ? 0 : cli_fail();

@@ -71,7 +71,7 @@ static int render(const hg_arguments *arguments)
         return cli_fail();
     }
     hg_ctx *ctx = NULL;
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     hg_status status = render_run(ctx, arguments, path);
     hg_ctx_destroy(ctx);
     return status == HG_OK ? 0 : cli_fail();

@@ -79,7 +79,7 @@ static int train(const hg_arguments *arguments)
         hg_fail(HG_INVALID, "train: where should the run go? -o FOLDER");
         return cli_fail();
     }
-    if (!cli_context(&ctx, arguments)) return 1;
+    if (!cli_context(&ctx, arguments)) return cli_fail();
     hg_train_result result = { 0 };
     char *trap = NULL;
     hg_status status = cli_trap(ctx, arguments, folder, &trap);

@@ -210,7 +210,7 @@ static void test_kernels_by_address(void **state)
     enum { KERNELS = 150 };
     hg_ctx *ctx = make_ctx();
     hg_text text = { 0 };
-    char(*names)[8] = hg_alloc(KERNELS, sizeof *names);
+    char(*names)[16] = hg_alloc(KERNELS, sizeof *names);
     hg_kernel *kernels = hg_alloc(KERNELS, sizeof *kernels);
     hg_text_add(&text, "typedef struct { float *y; } put_args;\n");
     for (int i = 0; i < KERNELS; i++) {

@@ -40,6 +40,11 @@ for command in train evaluate drape loss gradcheck profile fit replay export; do
 done
 refuses 2 'unknown option "--device"' "$hairgrad" make bust --device cpu -o bust.h5
 refuses 1 'device "gpu" is not known: cpu, cuda, cuda:NUMBER and auto are' "$hairgrad" gradcheck stretch --device gpu
+echo 'losses: { gravity: {} }' > recipe.yaml
+for words in "train recipe.yaml -o run" "evaluate run" "drape run -o d.vtkhdf" "profile recipe.yaml" "export run --to onnx -o m.onnx" "loss stretch none.h5 -o out.h5" "fit material run d.vtkhdf"; do
+    # shellcheck disable=SC2086
+    refuses 1 'device "gpu" is not known' "$hairgrad" $words --device gpu
+done
 "$hairgrad" gradcheck matmul --device cpu > /dev/null || fail "gradcheck --device cpu"
 "$hairgrad" gradcheck matmul --device auto > /dev/null || fail "gradcheck --device auto"
 if grep -q '^cuda .*not usable: ' out; then

@@ -18,8 +18,11 @@ static hg_status open_blas(hg_cuda_device *d)
 {
     const hg_cuda_api *api = d->api;
     if (d->blas) return HG_OK;
-    if (!d->blas_workspace)
-        HG_TRY(hg_cuda_check(api, api->cuMemAlloc(&d->blas_workspace, WORKSPACE), "the workspace of cuBLAS"));
+    if (!d->blas_workspace) {
+        void *memory = d->device.alloc(&d->device, WORKSPACE);
+        if (!memory) return HG_MEMORY;
+        d->blas_workspace = (CUdeviceptr)(uintptr_t)memory;
+    }
     cublasHandle_t blas;
     HG_TRY(check(d, api->cublasCreate(&blas), "starting cuBLAS"));
     hg_status status = check(d, api->cublasSetStream(blas, d->stream), "the stream of cuBLAS");
