@@ -151,6 +151,90 @@ static void test_posed(void **state)
     }
 }
 
+/* ---- strand_length ----------------------------------------------------------------------------------------------- */
+
+static void make_lengths(bench *b, hg_ctx *ctx, const scene *s, hg_dtype dtype)
+{
+    static const char *const options[HG_ENERGY_OPTIONS] = { "softening" };
+    const int64_t vertices[4] = { s->B, s->S, s->V, 3 }, rest[4] = { s->G, s->S, s->V, 3 };
+    const hg_term term = { hg_energy_find("integrity"), 1e6, NULL, options };
+    *b = (bench){ .frame = { .groom = s->groom, .inputs = b->inputs, .n_inputs = 2 } };
+    ok(hg_physics_create(&b->physics, ctx, dtype, &term, 1, &s->data), "lengths");
+    make_tensor(b, ctx, dtype, "x", 4, vertices, s->x, 0, 0, 0);
+    make_tensor(b, ctx, dtype, "rest", 4, rest, s->rest, 0, 0, 0);
+    make_tensor(b, ctx, dtype, "ghost", 4, vertices, s->ghost, 0, 0, 0);
+    for (int i = 0; i < 2; i++) b->inputs[i] = (hg_frame_input){ b->name[1 + i], b->tensor[1 + i] };
+    for (int i = 0; i < b->n; i++) hg_require_grad(b->tensor[i]);
+}
+
+/* One x in two calls: what they hand back adds up. */
+static hg_tensor *twice_energy(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    bench *b = self;
+    hg_tensor *one = hg_physics_energy(b->physics, ctx, &b->frame, in[0], NULL);
+    return hg_add(ctx, one, hg_scale(ctx, hg_physics_energy(b->physics, ctx, &b->frame, in[0], NULL), 2, 0));
+}
+
+/* Value, then gradients of x, rest and ghost. */
+static double *lengths_on(const char *device, const scene *s, hg_dtype dtype, int64_t *n)
+{
+    hg_ctx *ctx = make_context_on(device, 1);
+    bench b;
+    make_lengths(&b, ctx, s, dtype);
+    double *found = numbers(1 + (2 * s->B + s->G) * s->S * s->V * 3);
+    hg_tensor *energy = twice_energy(&b, ctx, b.tensor);
+    if (!energy) fail_msg("%s", hg_message());
+    ok(hg_backward(ctx, energy), "lengths");
+    found[0] = value(energy, 0);
+    *n = 1;
+    for (int i = 0; i < b.n; i++) {
+        ok(hg_tensor_numbers(hg_grad(b.tensor[i]), found + *n), b.name[i]);
+        *n += hg_tensor_count(b.tensor[i]);
+    }
+    hg_step_reset(ctx);
+    free_bench(&b);
+    hg_ctx_destroy(ctx);
+    return found;
+}
+
+/* The length of a rest groom that is given follows it, and hands on what comes to it; an edge without length hands on nothing. On
+ * a device as on the processor. */
+static void test_lengths(void **state)
+{
+    (void)state;
+    scene s;
+    scene_make(&s, 2, 3, 4, 6, 0.3);
+    hg_ctx *ctx = make_context(1);
+    bench b;
+    make_lengths(&b, ctx, &s, HG_F64);
+    hg_gradcheck_result check;
+    const hg_status status =
+        hg_gradcheck(ctx, twice_energy, &b, b.n, b.tensor, &(hg_gradcheck_options){ .step = 1e-5 }, &check);
+    if (status != HG_OK) fail_msg("%s: %s", b.name[check.input], hg_message());
+    hg_step_reset(ctx);
+    free_bench(&b);
+    hg_ctx_destroy(ctx);
+    memcpy(s.rest + 9, s.rest + 6, 3 * sizeof(double));
+    for (int single = 0; single < 2; single++) {
+        const hg_dtype dtype = single ? HG_F32 : HG_F64;
+        int64_t n, m;
+        double *expected = lengths_on("cpu", &s, dtype, &n), *found = lengths_on(test_device(), &s, dtype, &m);
+        const int64_t vertices = s.B * s.S * s.V * 3, rest = s.G * s.S * s.V * 3;
+        assert_true(n == m && n == 1 + 2 * vertices + rest);
+        double most = 0; /* of what came to the rest groom */
+        for (int64_t i = 0; i < rest; i++) most = fmax(most, fabs(expected[1 + vertices + i]));
+        assert_true(expected[0] > 0 && most > 0);
+        const double limit = single ? 1e-5 : 1e-12;
+        assert_true(difference(expected, found, 1) < limit);
+        assert_true(difference(expected + 1, found + 1, vertices) < limit);
+        assert_true(difference(expected + 1 + vertices, found + 1 + vertices, rest) < limit);
+        assert_true(difference(expected + 1 + vertices + rest, found + 1 + vertices + rest, vertices) < limit);
+        hg_free(expected);
+        hg_free(found);
+    }
+    scene_free(&s);
+}
+
 /* ---- back ends, threads, and values without a gradient ----------------------------------------------------------- */
 
 typedef struct {
@@ -614,11 +698,11 @@ static void test_formulas(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(test_gradients),    cmocka_unit_test(test_carried),       cmocka_unit_test(test_posed),
-        cmocka_unit_test(test_threads),      cmocka_unit_test(test_compiled),      cmocka_unit_test(test_meaning),
-        cmocka_unit_test(test_mean),         cmocka_unit_test(test_window_of_one), cmocka_unit_test(test_together),
-        cmocka_unit_test(test_orientations), cmocka_unit_test(test_given),         cmocka_unit_test(test_steady),
-        cmocka_unit_test(test_refusals),     cmocka_unit_test(test_formulas),
+        cmocka_unit_test(test_gradients), cmocka_unit_test(test_carried),      cmocka_unit_test(test_posed),
+        cmocka_unit_test(test_lengths),   cmocka_unit_test(test_threads),      cmocka_unit_test(test_compiled),
+        cmocka_unit_test(test_meaning),   cmocka_unit_test(test_mean),         cmocka_unit_test(test_window_of_one),
+        cmocka_unit_test(test_together),  cmocka_unit_test(test_orientations), cmocka_unit_test(test_given),
+        cmocka_unit_test(test_steady),    cmocka_unit_test(test_refusals),     cmocka_unit_test(test_formulas),
     };
     return cmocka_run_group_tests(tests, NULL, NULL);
 }

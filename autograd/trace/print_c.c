@@ -214,6 +214,15 @@ static bool touches(const hg_code *code, int place)
     return false;
 }
 
+/* Does a list touch anything that lies by vertex? */
+static bool touches_vertex(const hg_strand_program *program, const hg_code *code)
+{
+    bool any = touches(code, HG_PLACE_SITE) || touches(code, HG_PLACE_CARRY) || touches(code, HG_PLACE_CARRY_ADJOINT);
+    for (int k = 0; k < program->n_arrays; k++)
+        any |= touches(code, HG_PLACE_ARRAY + k) || touches(code, HG_PLACE_ARRAY_GRADIENT + k);
+    return any;
+}
+
 static void vertex(printer *p, const hg_code *code, const char *indent)
 {
     const hg_strand_program *program = p->program;
@@ -274,9 +283,10 @@ static void walk(printer *p, const hg_code *bodies, bool back, bool look_ahead)
     for (int n = 0; n <= last; n++) {
         const int b = back ? last - n : n;
         if (bodies[b].n == 0) continue;
-        if (b < last)
-            hg_text_add(text, "        if (V > %d) {\n            const int64_t i = %d;\n", b, b);
-        else if (back)
+        if (b < last) {
+            hg_text_add(text, "        if (V > %d) {\n", b);
+            if (touches_vertex(p->program, &bodies[b])) hg_text_add(text, "            const int64_t i = %d;\n", b);
+        } else if (back)
             hg_text_add(text, "        for (int64_t i = V - 1; i >= %d; i--) {\n", b);
         else
             hg_text_add(text, "        for (int64_t i = %d; i < V; i++) {\n", b);

@@ -10,12 +10,14 @@
 #include <stdio.h>
 #include <string.h>
 
-static void begin(const char *name, hg_text *text)
+/* Left to itself ptxas aims at an occupancy, and in f64, whose numbers take two registers, it spills to get there: that one block
+ * at a time is enough is said. */
+static void begin(const hg_strand_program *program, const char *name, hg_text *text)
 {
     hg_text_add(text,
-                "extern \"C\" __global__ void __launch_bounds__(%d)\n%s_cuda(const __grid_constant__ hg_strand_args "
+                "extern \"C\" __global__ void __launch_bounds__(%d%s)\n%s_cuda(const __grid_constant__ hg_strand_args "
                 "given, const int64_t n)\n{\n",
-                HG_STRAND_CUDA_THREADS, name);
+                HG_STRAND_CUDA_THREADS, program->dtype == HG_F64 ? ", 1" : "", name);
 }
 
 static void end(const char *name, hg_text *text) { hg_text_add(text, "}\nHG_KERNEL_EXPORT(%s_cuda)\n", name); }
@@ -37,7 +39,7 @@ static void by_thread(const hg_strand_program *program, const char *name, hg_tex
     hg_text_add(text, "__device__ ");
     hg_strand_print_c(program, walk, text);
     hg_text_add(text, "\n");
-    begin(name, text);
+    begin(program, name, text);
     hg_text_add(
         text,
         "    const int64_t thread = (int64_t)blockIdx.x * blockDim.x + threadIdx.x, size = %d * given.vertices + "
@@ -340,7 +342,7 @@ static void gather(const hg_strand_program *program, const places *at, hg_text *
 static void by_warp(const hg_strand_program *program, const char *name, hg_text *text)
 {
     const places at = find_places(program);
-    begin(name, text);
+    begin(program, name, text);
     hg_text_add(text,
                 "    HG_DYNAMIC_SHARED(hg_v, memory);\n"
                 "    const hg_strand_args *args = &given;\n"
