@@ -10,6 +10,17 @@
 
 /* ---- kinds of files ----------------------------------------------------------------------------------------- */
 
+enum { TEXTURE = 64 }; /* the usual size for networks of textures */
+
+/* How many strands stay when the groom becomes a texture. Of roots that no body has given a UV there is nothing to say. */
+static void add_texture(facts *f, const hg_groom *g, int64_t bound)
+{
+    hg_texture *texture;
+    if (bound < g->strands || hg_texture_create(&texture, g, TEXTURE) != HG_OK) return;
+    facts_count(f, "strands_in_64x64_texture", texture->kept);
+    hg_texture_destroy(texture);
+}
+
 static hg_status about_groom(facts *f, const char *path)
 {
     hg_groom *g;
@@ -32,6 +43,7 @@ static hg_status about_groom(facts *f, const char *path)
     facts_number(f, "mean_length", sum / (double)g->strands, "m");
     facts_number(f, "longest", longest, "m");
     facts_count(f, "bound_roots", bound);
+    add_texture(f, g, bound);
     facts_extent(f, g->points, g->strands * n);
     facts_hash(f, "body_hash", g->body_hash);
     facts_hash(f, "hash", hg_groom_hash(g));

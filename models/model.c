@@ -51,6 +51,13 @@ hg_status hg_model_copy(hg_model *to, const hg_model *from)
     return HG_OK;
 }
 
+hg_tensor *hg_encode(const hg_model *model, hg_ctx *ctx, hg_tensor *x)
+{
+    if (model->encode) return model->encode(model->self, ctx, x);
+    hg_ctx_fail(ctx, HG_INVALID, "hg_encode: a %s is no autoencoder: it has no code", model->kind);
+    return NULL;
+}
+
 static hg_status check(const char *name, const void *item)
 {
     const hg_architecture *architecture = item;

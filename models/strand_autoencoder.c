@@ -1,9 +1,7 @@
 /* strand_autoencoder: a strand's rest shape as a short code (Neuralocks, section on strand features): an encoder and a
  * decoder with `depth` hidden layers each, the code between them linear. forward([N,inputs]) is the reconstruction;
- * hg_strand_encode the code, which a network per strand takes as its description of the strand. */
+ * hg_encode the code, which a network per strand takes as its description of the strand. */
 #include "models/models.h"
-
-#include <string.h>
 
 typedef struct {
     hg_model model;
@@ -40,13 +38,9 @@ static hg_tensor *autoencoder_forward(void *self, hg_ctx *ctx, hg_tensor **in, i
     return half(net, ctx, half(net, ctx, in[0], 0), net->spec.depth + 1);
 }
 
-hg_tensor *hg_strand_encode(const hg_model *model, hg_ctx *ctx, hg_tensor *strands)
+static hg_tensor *autoencoder_encode(void *self, hg_ctx *ctx, hg_tensor *strands)
 {
-    if (strcmp(model->kind, "strand_autoencoder")) {
-        hg_ctx_fail(ctx, HG_INVALID, "hg_strand_encode: a %s is not a strand_autoencoder", model->kind);
-        return NULL;
-    }
-    return half(model->self, ctx, strands, 0);
+    return half(self, ctx, strands, 0);
 }
 
 static hg_status autoencoder_create(hg_model **model, hg_ctx *ctx, const hg_model_spec *spec)
@@ -85,6 +79,7 @@ static hg_status autoencoder_create(hg_model **model, hg_ctx *ctx, const hg_mode
                              .n_params = 2 * net->layers,
                              .self = net,
                              .forward = autoencoder_forward,
+                             .encode = autoencoder_encode,
                              .destroy = autoencoder_destroy };
     *model = &net->model;
     return HG_OK;

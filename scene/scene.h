@@ -67,6 +67,31 @@ hg_status hg_groom_to_curves(hg_curves **curves, const hg_groom *groom);
 /* By arc length on a centripetal Catmull-Rom curve; drops and counts one-vertex, zero-length and non-finite strands. */
 hg_status hg_groom_from_curves(hg_groom **groom, const hg_curves *curves, int64_t vertices, hg_groom_report *report);
 
+/* ---- groom as a texture ------------------------------------------------------------------------------------- */
+
+/* T x T texels over the scalp UV, row by v and column by u, with one strand each: of the roots that lie in a texel the one nearest
+ * to its centre, the lowest number where two are equally near. The others are left out, and counted. */
+typedef struct {
+    int64_t  size, strands;   /* T; S of the groom */
+    int64_t  kept, left_out;  /* strands that have a texel; that have none */
+    int32_t *strand;          /* [T,T] of each texel; -1: empty */
+    int32_t *texel;           /* [S] of each strand, row T + column; -1: left out */
+    int32_t *kept_strand, *kept_texel; /* [kept] those two where there is one, by ascending strand */
+    float   *mask;            /* [T,T] 1 where there is a strand, 0 where not */
+} hg_texture;
+
+hg_status hg_texture_create(hg_texture **texture, const hg_groom *groom, int64_t size);
+void      hg_texture_destroy(hg_texture *texture);
+void      hg_texture_draw(const hg_texture *texture, int64_t channels, const float *strands /* [S,C] */, float *image /* [C,T,T], 0 where empty */);
+void      hg_texture_pick(const hg_texture *texture, int64_t channels, const float *image /* [C,T,T] */, float *kept /* [kept,C] */);
+/* The kept strands of the groom that it was made of, with their roots; points from an image [V 3,T,T], NULL: as they were. In the new
+ * groom every strand has a texel: it is what a network of textures is trained on. */
+hg_status hg_texture_groom(hg_groom **groom, const hg_texture *texture, const hg_groom *from, const float *image);
+/* Images [B,C,T,T] of a network -> rows [n,C] at places i32 [n]. Places of n strands (NULL: the first n kept) in image b are b T T
+ * + texel, no two of them equal: the gradient of a texel without a strand is zero. */
+hg_status  hg_texture_places(const hg_texture *texture, int64_t image, int64_t n, const int32_t *strand, int32_t *places);
+hg_tensor *hg_texture_gather(hg_ctx *ctx, hg_tensor *images, hg_tensor *places);
+
 /* ---- body --------------------------------------------------------------------------------------------------- */
 
 #define HG_INFLUENCES 8

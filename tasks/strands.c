@@ -119,7 +119,7 @@ static hg_status encode(hg_hair_task *task, hg_hair_style *style, int inputs)
         hg_step_reset(task->ctx);
         hg_no_grad_begin(task->ctx);
         hg_tensor *x = hg_tensor_from(task->ctx, HG_F32, 2, (int64_t[]){ count, inputs }, rows);
-        const hg_tensor *z = hg_strand_encode(task->encoder, task->ctx, x);
+        const hg_tensor *z = hg_encode(task->encoder, task->ctx, x);
         hg_no_grad_end(task->ctx);
         status = z ? hg_tensor_read(z, code) : hg_ctx_status(task->ctx);
         for (int64_t i = 0; status == HG_OK && i < count; i++)

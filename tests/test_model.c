@@ -209,7 +209,7 @@ static void refuses(void **state)
     hg_model_spec code = { .inputs = 6, .outputs = 6, .width = 8, .depth = 1, .latent = 2, .activation = HG_SILU };
     assert_int_equal(hg_model_create(&encoder, ctx, "strand_autoencoder", &code), HG_OK);
     assert_int_equal(hg_model_copy(model, encoder), HG_INVALID);
-    assert_null(hg_strand_encode(model, ctx, frame));
+    assert_null(hg_encode(model, ctx, frame));
     hg_ctx_clear(ctx);
     hg_tensor_destroy(frame);
     hg_model_destroy(model);
@@ -227,7 +227,7 @@ static void autoencoder_shapes(void **state)
     };
     assert_int_equal(hg_model_create(&model, ctx, "strand_autoencoder", &code), HG_OK);
     hg_tensor *x = random_tensor(ctx, 7, 72, 4);
-    hg_tensor *z = hg_strand_encode(model, ctx, x), *y = model->forward(model->self, ctx, &x, 1);
+    hg_tensor *z = hg_encode(model, ctx, x), *y = model->forward(model->self, ctx, &x, 1);
     assert_int_equal(hg_ctx_status(ctx), HG_OK);
     assert_int_equal(z->shape[0], 7);
     assert_int_equal(z->shape[1], 5);

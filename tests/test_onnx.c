@@ -20,6 +20,7 @@
 typedef struct {
     hg_tensor *kept[64];
     int n;
+    hg_model *model;
 } shelf;
 
 static hg_tensor *numbers(shelf *s, hg_ctx *ctx, const char *name, int rank, const int64_t *shape, double low,
@@ -83,6 +84,27 @@ static hg_tensor *images(void *self, hg_ctx *ctx, hg_tensor *x)
     hg_tensor *b = hg_activate(ctx, hg_conv2d(ctx, a, s->kept[0], s->kept[1], 1, 1), HG_LEAKY_RELU); /* [n,5,4,4] */
     hg_tensor *c = hg_conv2d(ctx, b, s->kept[2], NULL, 2, 1);                                        /* [n,2,2,3] */
     return hg_reshape(ctx, hg_upsample(ctx, c, HG_NEAREST), SHAPE(-1, 48));
+}
+
+/* A declared network that makes images, with group norms; its last layer does not begin at zero here. */
+static hg_tensor *quaffure(void *self, hg_ctx *ctx, hg_tensor *x)
+{
+    shelf *s = self;
+    if (!s->model) {
+        const hg_model_spec spec = { .inputs = COLUMNS,
+                                     .outputs = 6,
+                                     .width = 8,
+                                     .depth = 2,
+                                     .texture = 8,
+                                     .groups = 2,
+                                     .activation = HG_SILU,
+                                     .seed = 2 };
+        OK(hg_model_create(&s->model, ctx, "quaffure", &spec));
+        hg_tensor *last = s->model->params[s->model->n_params - 2];
+        for (int64_t i = 0; i < hg_tensor_count(last); i++)
+            ((float *)last->data)[i] = (float)(0.3 * hg_random_normal(12, 0, (uint64_t)i));
+    }
+    return hg_reshape(ctx, s->model->forward(s->model->self, ctx, &x, 1), SHAPE(-1, 6 * 8 * 8));
 }
 
 static hg_tensor *layout(void *self, hg_ctx *ctx, hg_tensor *x)
@@ -182,15 +204,11 @@ static hg_tensor *edges(void *self, hg_ctx *ctx, hg_tensor *x)
 static const struct {
     const char *name;
     formula forward;
-} formulas[] = { { "network", network },
-                 { "elementwise", elementwise },
-                 { "layout", layout },
-                 { "images", images },
-                 { "reductions", reductions },
-                 { "pairs", pairs },
-                 { "normalisations", normalisations },
-                 { "vectors", vectors },
-                 { "edges", edges },
+} formulas[] = { { "network", network },   { "elementwise", elementwise },
+                 { "layout", layout },     { "images", images },
+                 { "quaffure", quaffure }, { "reductions", reductions },
+                 { "pairs", pairs },       { "normalisations", normalisations },
+                 { "vectors", vectors },   { "edges", edges },
                  { "strands", strands } };
 #define FORMULAS (int)(sizeof formulas / sizeof *formulas)
 
@@ -205,6 +223,8 @@ static void empty(shelf *s)
 {
     for (int i = 0; i < s->n; i++) hg_tensor_destroy(s->kept[i]);
     s->n = 0;
+    hg_model_destroy(s->model);
+    s->model = NULL;
 }
 
 static const hg_onnx_metadata metadata[] = { { "units", "metres" }, { "dt", "0.0333" } };

@@ -40,6 +40,7 @@ import json
 bust, groom, motion, posed = json.load(open("info.json"))
 assert groom["body_hash"] == bust["hash"] == posed["body_hash"] and posed["groom_hash"] == groom["hash"]
 assert groom["strands"] == 120 and groom["bound_roots"] == 120 and groom["shortest"] > 0.1
+assert 60 < groom["strands_in_64x64_texture"] <= 120
 assert motion["joint_names"] == bust["joint_names"] and motion["seconds"] == 1
 assert posed["body_vertices"] == [5, bust["vertices"], 3] and posed["first_frame"] == 3
 PYTHON
