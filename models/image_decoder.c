@@ -7,7 +7,12 @@ enum { DEEPEST = 12 };
 hg_status image_spec_check(const hg_model_spec *spec, const char *what)
 {
     const int depth = spec->depth;
-    if (depth > DEEPEST || spec->texture < 1 || spec->texture % (1 << depth) || spec->width % (1 << depth))
+    if (spec->texture < 1)
+        return hg_fail(HG_INVALID,
+                       "%s: it makes images, and their size (texture) is not given; a task of single strands needs a "
+                       "network per strand, such as neuralocks",
+                       what);
+    if (depth > DEEPEST || spec->texture % (1 << depth) || spec->width % (1 << depth))
         return hg_fail(HG_INVALID,
                        "%s: textures of %d texels a side and %d channels cannot be halved %d times: both have to be "
                        "multiples of 2^depth, with a depth of at most %d",

@@ -289,13 +289,24 @@ static void compare(const scene *a, const scene *b, double tolerance)
     }
 }
 
+/* Of the processor: large enough for several blocks of every kernel. */
 static void threads_change_no_bit(void **state)
 {
     (void)state;
-    scene one = make_scene(1, test_device(), &tiny), two = make_scene(2, test_device(), &tiny);
+    const hg_model_spec wide = { .inputs = 300,
+                                 .outputs = 12,
+                                 .width = 64,
+                                 .depth = 2,
+                                 .texture = 32,
+                                 .groups = 4,
+                                 .activation = HG_SILU,
+                                 .seed = 5 };
+    scene one = make_scene(1, "cpu", &wide), two = make_scene(2, "cpu", &wide), five = make_scene(5, "cpu", &wide);
     compare(&one, &two, 0);
+    compare(&one, &five, 0);
     scene_free(&one);
     scene_free(&two);
+    scene_free(&five);
 }
 
 /* On a device as on the processor. */
@@ -406,7 +417,7 @@ static void refuses(void **state)
         int texture, width, depth, groups, latent;
         const char *says;
     } cases[] = { { 10, 8, 2, 0, 4, "multiples of 2^depth" },  { 8, 6, 2, 0, 4, "multiples of 2^depth" },
-                  { 0, 8, 2, 0, 4, "multiples of 2^depth" },   { 8192, 8192, 13, 0, 4, "at most 12" },
+                  { 0, 8, 2, 0, 4, "(texture) is not given" }, { 8192, 8192, 13, 0, 4, "at most 12" },
                   { 8, 8, 2, 3, 4, "3 groups do not divide" }, { 8, 8, 2, -1, 4, "groups" },
                   { 4096, 1024, 1, 0, 4, "a depth above 1" },  { 8, 8, 2, 0, 0, "a latent of 0" } };
     for (size_t i = 0; i < sizeof cases / sizeof *cases; i++) {
