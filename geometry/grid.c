@@ -14,7 +14,9 @@ static void choose_bits(hg_grid *grid)
     grid->bits[3] = bits;
 }
 
-static hg_status reserve(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *args, grid_scan_args *scan)
+/* mark: what is behind it is not needed once the grid is made. */
+static hg_status reserve(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *args, grid_scan_args *scan,
+                         hg_step_mark *mark)
 {
     const size_t points = (size_t)(grid->frames * grid->n) + 1, real = hg_dtype_size(dtype);
     scan->n = grid->frames * hg_grid_cells(grid) + 2;
@@ -25,13 +27,12 @@ static hg_status reserve(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *
     grid->x = hg_step_device(ctx, points * real);
     grid->y = hg_step_device(ctx, points * real);
     grid->z = hg_step_device(ctx, points * real);
-    const hg_step_mark mark = hg_step_set_mark(ctx); /* what is behind it is not needed once the grid is made */
+    *mark = hg_step_set_mark(ctx);
     args->slot = hg_step_device(ctx, points * sizeof(int32_t));
     args->unordered = hg_step_device(ctx, points * sizeof(int32_t));
     scan->sums = hg_step_device(ctx, (size_t)(scan->n / GRID_CHUNK + 1) * sizeof(int32_t));
     const bool made = scan->values && grid->vertex && grid->place && grid->cell && grid->x && grid->y && grid->z &&
                       args->slot && args->unordered && scan->sums;
-    hg_step_rewind(ctx, mark);
     grid->start = scan->values;
     args->grid = *grid;
     return made ? HG_OK : HG_MEMORY;
@@ -40,8 +41,9 @@ static hg_status reserve(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *
 static hg_status build(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *args)
 {
     grid_scan_args scan;
+    hg_step_mark mark;
     const int64_t all = grid->frames * grid->n;
-    HG_TRY(reserve(ctx, grid, dtype, args, &scan));
+    HG_TRY(reserve(ctx, grid, dtype, args, &scan, &mark));
     const int64_t chunks = (scan.n + GRID_CHUNK - 1) / GRID_CHUNK;
     hg_tensor *start = hg_tensor_wrap(ctx, HG_I32, 1, &scan.n, scan.values);
     if (!start) return HG_MEMORY;
@@ -51,7 +53,9 @@ static hg_status build(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, grid_args *ar
     HG_TRY(hg_launch(ctx, &grid_scan_sums_kernel, 1, &scan));
     HG_TRY(hg_launch(ctx, &grid_scan_kernel, chunks, &scan));
     HG_TRY(hg_launch(ctx, &grid_put_kernel, all, args));
-    return hg_launch(ctx, grid_order_kernels[dtype == HG_F64], all, args);
+    HG_TRY(hg_launch(ctx, grid_order_kernels[dtype == HG_F64], all, args));
+    hg_step_rewind(ctx, mark);
+    return HG_OK;
 }
 
 hg_status hg_grid_build(hg_ctx *ctx, hg_grid *grid, hg_dtype dtype, int64_t frames, int64_t n, const void *points,
