@@ -164,6 +164,8 @@ hg_tensor *hg_physics_energy(hg_physics *physics, hg_ctx *ctx, const hg_frame *f
 hg_tensor *hg_physics_unweighted(const hg_physics *physics);
 /* The same without a tape: energy per strand and term [B,S,n] f64 (may be NULL), gradient [B,S,V,3] (may be NULL). */
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
+/* The gradient of the strands as if each were alone: without pairs and neighbour sums. For solvers. */
+hg_status hg_physics_evaluate_alone(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, hg_tensor *gradient);
 #ifndef HG_NO_CALLER
 #define hg_physics_energy(physics, ctx, ...) (hg_physics_energy)(physics, HG_HERE(ctx), __VA_ARGS__)
 #endif

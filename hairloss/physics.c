@@ -47,6 +47,7 @@ struct hg_physics {
 
     other_pass *others;
     int n_others;
+    bool strands_alone; /* the others are left out */
 
     int contact; /* term that asks for it, -1: none */
     hg_contact_mode mode;
@@ -464,7 +465,7 @@ static hg_status run(hg_physics *p, hg_ctx *ctx, const hg_frame *frame, const hg
     } else if (gradient) {
         HG_TRY(hg_physics_zero(ctx, p->dtype, hg_tensor_count(x), gradient));
     }
-    for (int i = 0; i < p->n_others; i++) {
+    for (int i = 0; i < p->n_others && !p->strands_alone; i++) {
         const int t = p->others[i].term;
         hg_profile_begin(ctx, "energies", p->terms[t].energy->name);
         call.unweighted = sums + t;
@@ -509,6 +510,15 @@ hg_status hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *
     if (unweighted) HG_TRY(hg_tensor_read(physics->unweighted, unweighted));
     if (strands && hg_tensor_count(strands)) HG_TRY(hg_tensor_read(strands, per_strand));
     return check_trap(physics, ctx, frame, x);
+}
+
+hg_status hg_physics_evaluate_alone(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x,
+                                    hg_tensor *gradient)
+{
+    physics->strands_alone = true;
+    const hg_status status = hg_physics_evaluate(physics, ctx, frame, x, NULL, NULL, gradient);
+    physics->strands_alone = false;
+    return status;
 }
 
 hg_tensor *hg_physics_unweighted(const hg_physics *physics) { return physics->unweighted; }

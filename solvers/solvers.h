@@ -1,4 +1,10 @@
-/* solvers: the same energies used directly, without a network. Today: what a hair is made of, from how it hangs.
+/* solvers: the same energies used directly, without a network: how a hair hangs, from what it is made of; and what it is made
+ * of, from how it hangs.
+ *
+ *     hg_minimiser_create(&minimiser, ctx, physics, frames, strands, vertices, &(hg_minimise_options){ .pinned = 2 });
+ *     hg_minimise(minimiser, &frame, x, &solution);            x: the posed strands before, the minimum after
+ *     if (solution.converged < solution.strands) ...            how far it is from there: solution.force, solution.movement
+ *     hg_minimiser_destroy(minimiser);
  *
  *     const char *const names[] = { "bend_twist.stiffness" };
  *     hg_fit_material(ctx, terms, n_terms, &groom_data, &frame, x, &(hg_material_options){ .n = 1, .names = names }, &fit);
@@ -17,6 +23,54 @@
 #ifdef __cplusplus
 extern "C" {
 #endif
+
+/* ---- minima of an energy over the vertices --------------------------------------------------------------------- */
+
+typedef enum { HG_LBFGS, HG_ADAM } hg_minimise_method;
+
+/* Zero stands for the default. */
+typedef struct {
+    hg_minimise_method method;
+    int pinned;                          /* first vertices of a strand that stay where x has them; 0: 1 */
+    int64_t evaluations;                 /* at most so many of the energy, for all strands together; 0: 6000 (Adam: 2000) */
+    double movement;                     /* m: a minimum is where a full Newton step is shorter; 0: 1e-8 */
+    double rate;                         /* Adam: a first step [m], which comes down to 0 as a cosine; 0: 2e-5 */
+    bool (*stop)(void *); void *stop_self; /* asked once an iteration; true: what was reached is left in x, and interrupted is set */
+} hg_minimise_options;
+
+/* One strand; where strands act on each other, movement, iterations and converged are those of all of its frame. */
+typedef struct {
+    double before, after;                /* J, weighted: sum of its terms at the start and at the end */
+    double force;                        /* N: largest on a free vertex */
+    double movement;                     /* m: longest way of a vertex in a full Newton step from here */
+    int32_t iterations;
+    bool converged;                      /* movement is below the limit, and the Hessian along the strand is positive definite */
+} hg_minimised;
+
+typedef struct {
+    int64_t strands, converged;          /* of all frames */
+    int64_t evaluations, restarts;       /* restarts: how often the Hessians were made */
+    double before, after;                /* J: sums over the strands */
+    double force, movement;              /* largest of all strands */
+    bool interrupted;
+    const hg_minimised *strand;          /* [B,S], the minimiser's: good until its next call */
+} hg_solution;
+
+/* Minimises a physics over the free vertices of B frames of S strands. L-BFGS (Nocedal and Wright 2006) whose inverse Hessian starts
+ * from that of each strand along itself, found by differences of the gradient, so that it knows every energy, also a user's own.
+ * Where only energies of single strands act, each strand has its own history, step and end, and all advance together; with
+ * pairs or neighbour sums a frame is one problem. It is made anew until nothing moves. Contact is searched in every evaluation.
+ *
+ * ctx is of the host (hg_ctx_on_host) and physics f64: forces of a hair are differences that f32 does not hold. Both live as long as
+ * the minimiser. Same bits for any number of threads; nothing is allocated after create. */
+typedef struct hg_minimiser hg_minimiser;
+hg_status hg_minimiser_create(hg_minimiser **minimiser, hg_ctx *ctx, hg_physics *physics, int64_t frames, int64_t strands, int64_t vertices, const hg_minimise_options *options);
+void      hg_minimiser_destroy(hg_minimiser *minimiser);         /* NULL is fine */
+/* x [B,S,V,3] f64: the start, then the minimum; frame as for hg_physics_evaluate. HG_NUMERIC where the start is not finite or has no
+ * finite energy; x is untouched then. Not to converge is no error: the solution says so. */
+hg_status hg_minimise(hg_minimiser *minimiser, const hg_frame *frame, hg_tensor *x, hg_solution *solution);
+
+/* ---- stiffnesses of a drape ------------------------------------------------------------------------------------ */
 
 #define HG_FIT_PARAMS 8
 

@@ -4,7 +4,7 @@
  *   world.c      body, groom, clips                             features.c   what belongs to a frame, normalisation
  *   subset.c     strands of a step and their physics            sample.c     the batch of a step
  *   material.c   parameters of energies that are inputs of the network, or learnt
- *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c
+ *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c, solve.c
  */
 #ifndef HG_TASKS_HAIR_H
 #define HG_TASKS_HAIR_H
@@ -243,6 +243,10 @@ hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *par
  * [n,width], inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3] -> x [n,V,3]. Memory does not grow with n. */
 hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);
+/* Adds the vertices of strands x [S,V,3] that are deeper than 0.1 mm in the body, roots left out. triangle [S,V] keeps
+ * guesses from call to call, at first -1; the others [S,V,3] are scratch. */
+hg_status hg_hair_count_inside(hg_ctx *host, hg_body_refit *refit, int64_t S, int64_t V, const float *x,
+                               int32_t *triangle, float *contact_point, float *contact_normal, int64_t *inside);
 /* unweighted: [terms] f64, joule of the batch, gravity counted from the roots; of the step. */
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
                           hg_hair_subset *subset, hg_tensor **unweighted);

@@ -163,21 +163,26 @@ static hg_status energies(evaluation *e, side *s, double *terms)
     return hg_physics_evaluate(e->task->evaluation.physics, e->ctx, &frame, s->now, terms, NULL, NULL);
 }
 
+hg_status hg_hair_count_inside(hg_ctx *host, hg_body_refit *refit, int64_t S, int64_t V, const float *x,
+                               int32_t *triangle, float *contact_point, float *contact_normal, int64_t *inside)
+{
+    HG_TRY(hg_body_closest(host, refit, HG_CONTACT_EXACT, 5e-3, S * V, x, triangle, contact_point, contact_normal));
+    for (int64_t i = 0; i < S * V; i++) {
+        if (i % V == 0) continue;
+        const float *a = contact_point + 3 * i, *n = contact_normal + 3 * i;
+        double distance = 0;
+        for (int k = 0; k < 3; k++) distance += (double)n[k] * ((double)x[3 * i + k] - (double)a[k]);
+        *inside += distance < -deep;
+    }
+    return HG_OK;
+}
+
 static hg_status count_inside(evaluation *e, side *s)
 {
     const int64_t S = e->task->evaluation.n, V = e->task->groom->vertices;
-    const float *x = s->x;
-    HG_TRY(hg_body_closest(e->host, e->refit, HG_CONTACT_EXACT, 5e-3, S * V, x, s->triangle, e->contact_point,
-                           e->contact_normal));
-    for (int64_t i = 0; i < S * V; i++) {
-        if (i % V == 0) continue;
-        const float *a = e->contact_point + 3 * i, *n = e->contact_normal + 3 * i;
-        double distance = 0;
-        for (int k = 0; k < 3; k++) distance += (double)n[k] * ((double)x[3 * i + k] - (double)a[k]);
-        s->inside += distance < -deep;
-        s->vertices++;
-    }
-    return HG_OK;
+    s->vertices += S * (V - 1);
+    return hg_hair_count_inside(e->host, e->refit, S, V, s->x, s->triangle, e->contact_point, e->contact_normal,
+                                &s->inside);
 }
 
 static hg_vec3d point(const float *x) { return hg_vec3d_make((double)x[0], (double)x[1], (double)x[2]); }

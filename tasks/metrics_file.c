@@ -1,4 +1,4 @@
-/* metrics_file: metrics of several clips, their mean, and both as JSON. */
+/* metrics_file: metrics of several clips, their mean, and both as JSON; those of a solve. */
 #include "tasks/tasks.h"
 
 #include <math.h>
@@ -41,6 +41,14 @@ static void number(hg_text *text, const char *indent, const char *name, double v
         hg_text_add(text, "%s\"%s\": null%s\n", indent, name, end);
 }
 
+static void quoted(hg_text *text, const char *words)
+{
+    hg_text_add(text, "\"");
+    for (const char *c = words; *c; c++)
+        if ((unsigned char)*c >= 0x20) hg_text_add(text, *c == '"' || *c == '\\' ? "\\%c" : "%c", *c);
+    hg_text_add(text, "\"");
+}
+
 static void one(hg_text *text, const char *in, const hg_hair_metrics *m)
 {
     number(text, in, "frames", (double)m->frames, ",");
@@ -68,10 +76,9 @@ hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clip
     hg_text text = { 0 };
     hg_text_add(&text, "{\n  \"clips\": [\n");
     for (int i = 0; i < n; i++) {
-        hg_text_add(&text, "    {\n      \"clip\": \"");
-        for (const char *c = clips[i]; *c; c++)
-            if ((unsigned char)*c >= 0x20) hg_text_add(&text, *c == '"' || *c == '\\' ? "\\%c" : "%c", *c);
-        hg_text_add(&text, "\",\n");
+        hg_text_add(&text, "    {\n      \"clip\": ");
+        quoted(&text, clips[i]);
+        hg_text_add(&text, ",\n");
         one(&text, "      ", &metrics[i]);
         hg_text_add(&text, "    }%s\n", i + 1 < n ? "," : "");
     }
@@ -79,6 +86,27 @@ hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clip
     hg_hair_metrics_mean(metrics, n, &mean);
     hg_text_add(&text, "  ],\n  \"mean\": {\n");
     one(&text, "    ", &mean);
+    hg_text_add(&text, "  }\n}\n");
+    const hg_status status = text.failed ? HG_MEMORY : hg_file_write(path, text.data, text.size);
+    hg_text_free(&text);
+    return status;
+}
+
+hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_hair_solution *solution)
+{
+    hg_text text = { 0 };
+    hg_text_add(&text, "{\n  \"clip\": ");
+    quoted(&text, clip);
+    hg_text_add(&text, ",\n");
+    number(&text, "  ", "solves", (double)solution->solves, ",");
+    number(&text, "  ", "converged", (double)solution->converged, ",");
+    number(&text, "  ", "evaluations", (double)solution->evaluations, ",");
+    number(&text, "  ", "iterations_per_strand", solution->iterations, ",");
+    number(&text, "  ", "seconds", solution->seconds, ",");
+    number(&text, "  ", "largest_force_newton", solution->force, ",");
+    number(&text, "  ", "largest_movement_metres", solution->movement, ",");
+    hg_text_add(&text, "  \"minimum\": {\n");
+    one(&text, "    ", &solution->metrics);
     hg_text_add(&text, "  }\n}\n");
     const hg_status status = text.failed ? HG_MEMORY : hg_file_write(path, text.data, text.size);
     hg_text_free(&text);

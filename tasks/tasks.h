@@ -110,6 +110,29 @@ void      hg_hair_metrics_mean(const hg_hair_metrics *metrics, int n, hg_hair_me
 /* { "clips": [ { "clip": name, .. }, .. ], "mean": { .. } }, every number with its unit in its name. */
 hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clips, const hg_hair_metrics *metrics);
 
+/* ---- the minimum that a network is to find ------------------------------------------------------------------- */
+
+/* The config's energies minimised over a motion, frame by frame, without the network. Quasi-static: each frame from the posed
+ * groom, and energies that know of other frames (inertia, drag) are left out. dynamic: frame `first` so, at rest; then each frame is
+ * the minimum of all energies with the two frames before it. */
+typedef struct {
+    hg_minimise_options minimise;        /* pinned 0: the config's */
+    bool dynamic;
+    int64_t first, frames;               /* frames 0: to the end of the clip */
+    int64_t strands;                     /* so many, evenly over the groom; 0: as many as a training step has */
+} hg_hair_solve_options;
+typedef struct {
+    hg_hair_metrics metrics;             /* of the minimum; the last two of them are NAN. Its energies are those that were minimised; dynamic: without the first frame */
+    int64_t solves, converged;           /* strands times frames */
+    int64_t evaluations;
+    double iterations, seconds;          /* mean of a strand; of it all */
+    double force, movement;              /* largest that is left anywhere: N, m */
+    bool interrupted;
+} hg_hair_solution;
+hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, const hg_hair_solve_options *options,
+                        hg_drape_sink sink, void *self, hg_hair_solution *solution, const hg_progress *progress);
+hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_hair_solution *solution); /* JSON, units in the names */
+
 #ifdef __cplusplus
 }
 #endif

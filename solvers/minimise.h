@@ -1,0 +1,75 @@
+/* minimise (private): what the methods share. Numbers of a strand are its free coordinates alone, [strands,n], n = 3 (V - pinned).
+ *
+ *   minimise.c        create, evaluate, results
+ *   lbfgs.c           L-BFGS, preconditioned by the Hessian of each strand
+ *   solve_adam.c      Adam
+ *   strand_hessian.c  the Hessian of a strand along itself, its Cholesky factor, solves
+ */
+#ifndef HG_SOLVERS_MINIMISE_H
+#define HG_SOLVERS_MINIMISE_H
+
+#include "solvers/solvers.h"
+
+enum { HG_MINIMISE_MEMORY = 10, HG_MINIMISE_PARTS = 3 * HG_MINIMISE_MEMORY + 4 };
+
+typedef enum {
+    HG_PROBLEM_RUNS,
+    HG_PROBLEM_WAITS, /* moves no more, or finds no way down: its Hessian is to be made anew */
+    HG_PROBLEM_DONE,
+    HG_PROBLEM_STUCK
+} hg_problem_state;
+
+/* What is minimised on its own: a strand, or a frame where strands act on each other. */
+typedef struct {
+    hg_problem_state state;
+    bool kick;      /* along a direction of negative curvature */
+    bool advanced;  /* since the Hessian was made */
+    int kept, next; /* pairs in the history; where the next goes */
+    int kicks;
+    int32_t iterations;
+    double energy, size; /* J; sum of the absolute terms: what rounding is measured against */
+    double slope, step;
+    double far, bend; /* of the direction: largest movement [m], largest change of an edge against its length */
+    bool accepted;    /* the point is new, and has no direction yet */
+    double left;      /* the last full step with a new Hessian [m] */
+    double rho[HG_MINIMISE_MEMORY], alpha[HG_MINIMISE_MEMORY], with_gradient[HG_MINIMISE_MEMORY];
+    double product[HG_MINIMISE_MEMORY][HG_MINIMISE_MEMORY]; /* s_i . y_j */
+} hg_problem;
+
+struct hg_minimiser {
+    hg_ctx *ctx;
+    hg_physics *physics;
+    hg_minimise_options options;
+    int64_t B, S, V, strands, group, problems;
+    int64_t n; /* free numbers of a strand */
+    int pinned, reach, band, terms;
+    double *term_energy;                /* [strands,terms] */
+    hg_tensor *trial, *gradient;        /* [B,S,V,3] */
+    double *x, *g, *next_g, *d, *q, *r; /* [strands,n] */
+    double *s[HG_MINIMISE_MEMORY], *y[HG_MINIMISE_MEMORY];
+    double *edge;             /* [strands,V] length of the edge before a vertex, as it was at the start */
+    double *hessian, *factor; /* [strands,n,band + 1], lower */
+    uint8_t *definite;        /* [strands] */
+    double *part;             /* [strands,HG_MINIMISE_PARTS] */
+    hg_problem *problem;
+    hg_minimised *result; /* [strands] */
+    const hg_frame *frame;
+    int64_t evaluations, restarts;
+    bool interrupted;
+};
+
+/* At `trial`: energies and gradient, the gradient, or the gradient of strands without each other. */
+typedef enum { HG_ENERGY_AND_GRADIENT, HG_GRADIENT_ALONE, HG_STRANDS_ALONE } hg_minimise_wanted;
+hg_status hg_minimise_evaluate(hg_minimiser *m, hg_minimise_wanted wanted);
+void hg_minimise_place(hg_minimiser *m, const double *x); /* free numbers into `trial` */
+bool hg_minimise_stopped(const hg_minimiser *m);
+
+/* Of every strand whose problem is not done, at m->x with gradient m->g: central part of the Hessian by differences, and
+ * its factor. Overwrites trial and gradient. */
+hg_status hg_strand_hessians(hg_minimiser *m);
+void hg_strand_solve(const hg_minimiser *m, int64_t strand, double *numbers); /* in place */
+
+hg_status hg_minimise_lbfgs(hg_minimiser *m);
+hg_status hg_minimise_adam(hg_minimiser *m);
+
+#endif
