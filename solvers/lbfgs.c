@@ -220,6 +220,10 @@ static hg_status restart(hg_minimiser *m, int64_t *running)
     for (hg_problem *p = m->problem; p < m->problem + m->problems; p++) {
         if (p->state >= HG_PROBLEM_DONE) continue;
         p->state = m->restarts && !p->advanced ? HG_PROBLEM_STUCK : HG_PROBLEM_RUNS;
+        if (!m->restarts) p->first_energy = p->energy;
+        const bool little = p->restart_energy - p->energy < 1e-8 * (p->first_energy - p->energy);
+        p->stalls = m->restarts && little ? p->stalls + 1 : 0;
+        p->restart_energy = p->energy;
         p->accepted = true;
         p->kept = 0;
         p->kick = p->advanced = false;
@@ -230,7 +234,10 @@ static hg_status restart(hg_minimiser *m, int64_t *running)
     for (hg_problem *p = m->problem; p < m->problem + m->problems; p++) {
         if (p->state != HG_PROBLEM_RUNS) continue;
         p->left = p->far;
-        if (!(p->far < m->options.movement) && p->slope < 0) continue;
+        if (!(p->far < m->options.movement) && p->slope < 0) {
+            if (p->stalls >= (m->group > 1 ? 8 : 2)) p->state = HG_PROBLEM_STUCK;
+            continue;
+        }
         if (m->group > 1 || definite(m, p)) {
             p->state = p->far < m->options.movement ? HG_PROBLEM_DONE : HG_PROBLEM_STUCK;
         } else if (p->kicks++ < KICKS) {
@@ -320,12 +327,12 @@ static hg_status one_round(hg_minimiser *m, int64_t *running)
 
 hg_status hg_minimise_lbfgs(hg_minimiser *m)
 {
-    const int64_t price = 3 * (2 * m->reach + 1); /* of Hessians, in evaluations */
+    const int64_t rounds = m->group > 1 ? 120 : 30 + 3 * m->reach; /* between Hessians, which cost as much themselves */
     for (;;) {
         int64_t running;
         HG_TRY(restart(m, &running));
         if (!running) return HG_OK;
-        for (int64_t round = 0; running && round < (m->group > 1 ? 8 : 2) * price; round++) {
+        for (int64_t round = 0; running && round < rounds; round++) {
             HG_TRY(one_round(m, &running));
             if ((m->interrupted = hg_minimise_stopped(m)) || m->evaluations >= m->options.evaluations) return HG_OK;
         }

@@ -58,6 +58,30 @@ static hg_status take_memory(hg_minimiser *m)
                : HG_MEMORY;
 }
 
+/* How far vertices of a strand feel each other, and whether strands do. */
+static hg_status find_reach(hg_minimiser *m)
+{
+    m->group = 1;
+    m->reach = 1;
+    bool whole = false;
+    for (int t = 0; t < m->terms; t++) {
+        const hg_term *term = hg_physics_term(m->physics, t);
+        const hg_site site = term->energy->site;
+        if (site.kind != HG_SITE_WINDOW) {
+            m->group = m->S;
+            continue;
+        }
+        hg_energy_inputs asks;
+        HG_TRY(hg_energy_asks(term->energy, term->options, false, &asks));
+        if (asks.scan || (m->pinned < 2 && site.count > 2)) whole = true;
+        if (site.count - 1 > m->reach) m->reach = site.count - 1;
+    }
+    if (whole || m->reach > m->V) m->reach = (int)m->V;
+    m->problems = m->group ? m->strands / m->group : 0;
+    m->band = 3 * m->reach + 2 < m->n ? 3 * m->reach + 2 : (m->n > 0 ? m->n - 1 : 0);
+    return HG_OK;
+}
+
 hg_status hg_minimiser_create(hg_minimiser **out, hg_ctx *ctx, hg_physics *physics, int64_t frames, int64_t strands,
                               int64_t vertices, const hg_minimise_options *options)
 {
@@ -77,18 +101,8 @@ hg_status hg_minimiser_create(hg_minimiser **out, hg_ctx *ctx, hg_physics *physi
     m->pinned = m->options.pinned < vertices ? m->options.pinned : (int)vertices;
     m->n = 3 * (vertices - m->pinned);
     m->terms = hg_physics_terms(physics);
-    m->group = 1;
-    m->reach = 1;
-    for (int t = 0; t < m->terms; t++) {
-        const hg_site site = hg_physics_term(physics, t)->energy->site;
-        if (site.kind != HG_SITE_WINDOW)
-            m->group = strands;
-        else if (site.count - 1 > m->reach)
-            m->reach = site.count - 1;
-    }
-    m->problems = m->group ? m->strands / m->group : 0;
-    m->band = 3 * m->reach + 2;
-    const hg_status status = take_memory(m);
+    hg_status status = find_reach(m);
+    if (status == HG_OK) status = take_memory(m);
     if (status != HG_OK) {
         hg_minimiser_destroy(m);
         return status;
@@ -213,9 +227,11 @@ static hg_status finish(hg_minimiser *m, hg_tensor *x, hg_solution *solution)
         r->movement = p->left;
         r->iterations = p->iterations;
         r->converged = p->state == HG_PROBLEM_DONE;
+        r->stalled = p->state == HG_PROBLEM_STUCK && m->options.method == HG_LBFGS;
         solution->before += r->before;
         solution->after += r->after;
         solution->converged += r->converged;
+        solution->stalled += r->stalled;
         solution->force = fmax(solution->force, r->force);
         solution->movement = fmax(solution->movement, r->movement);
     }

@@ -16,7 +16,7 @@ typedef enum {
     HG_PROBLEM_RUNS,
     HG_PROBLEM_WAITS, /* moves no more, or finds no way down: its Hessian is to be made anew */
     HG_PROBLEM_DONE,
-    HG_PROBLEM_STUCK
+    HG_PROBLEM_STUCK /* at a kink of the energy: no way that was tried leads down */
 } hg_problem_state;
 
 /* What is minimised on its own: a strand, or a frame where strands act on each other. */
@@ -27,6 +27,8 @@ typedef struct {
     int kept, next; /* pairs in the history; where the next goes */
     int kicks;
     int32_t iterations;
+    int stalls; /* Hessians in a row that brought nothing */
+    double first_energy, restart_energy;
     double energy, size; /* J; sum of the absolute terms: what rounding is measured against */
     double slope, step;
     double far, bend; /* of the direction: largest movement [m], largest change of an edge against its length */

@@ -45,10 +45,12 @@ typedef struct {
     double movement;                     /* m: longest way of a vertex in a full Newton step from here */
     int32_t iterations;
     bool converged;                      /* movement is below the limit, and the Hessian along the strand is positive definite */
+    bool stalled;                        /* L-BFGS: not so, but new Hessians, two in a row (eight for a frame), brought less than 1e-8 of the descent: it lies in a kink of the energy,
+                                            such as an edge of the body's mesh, where a Newton step says nothing */
 } hg_minimised;
 
 typedef struct {
-    int64_t strands, converged;          /* of all frames */
+    int64_t strands, converged, stalled; /* of all frames */
     int64_t evaluations, restarts;       /* restarts: how often the Hessians were made */
     double before, after;                /* J: sums over the strands */
     double force, movement;              /* largest of all strands */

@@ -2,8 +2,9 @@
  *
  * Energies over windows of R + 1 vertices couple a vertex with R neighbours on each side. Vertices 2R + 1 apart do not touch
  * the same forces, so that one evaluation with all of them moved by h along an axis gives a column of the Hessian for each:
- * 3 (2R + 1) evaluations for all strands at once, whatever the energies are. What is left out (a root edge that is free,
- * frames carried along the strand) only makes the preconditioner less good. Pairs and neighbour sums add to the diagonal alone.
+ * 3 (2R + 1) evaluations for all strands at once, whatever the energies are. Where an energy reaches along the whole strand
+ * (frames carried from edge to edge, a root edge that is free), every vertex has its own. Pairs and neighbour sums add to the
+ * diagonal alone.
  *
  * Where the Hessian is not positive definite, a multiple of the identity is added until it is. */
 #include "solvers/minimise.h"
@@ -147,7 +148,6 @@ hg_status hg_strand_hessians(hg_minimiser *m)
         .name = "strand_cholesky", .args_size = sizeof(column), .cpu = factor, .block = 4
     };
     const int64_t free = m->V - m->pinned, colours = 2 * m->reach + 1;
-    if (!m->n) return HG_OK;
     double *trial = m->trial->data;
     for (int64_t i = 0; i < m->strands; i++)
         if (m->problem[i / m->group].state < HG_PROBLEM_DONE)

@@ -100,6 +100,7 @@ hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_ha
     hg_text_add(&text, ",\n");
     number(&text, "  ", "solves", (double)solution->solves, ",");
     number(&text, "  ", "converged", (double)solution->converged, ",");
+    number(&text, "  ", "stalled", (double)solution->stalled, ",");
     number(&text, "  ", "evaluations", (double)solution->evaluations, ",");
     number(&text, "  ", "iterations_per_strand", solution->iterations, ",");
     number(&text, "  ", "seconds", solution->seconds, ",");

@@ -272,6 +272,7 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
     hg_hair_solution *all = s->solution;
     all->solves += found.strands;
     all->converged += found.converged;
+    all->stalled += found.stalled;
     all->evaluations += found.evaluations;
     all->force = fmax(all->force, found.force);
     all->movement = fmax(all->movement, found.movement);

@@ -123,7 +123,7 @@ typedef struct {
 } hg_hair_solve_options;
 typedef struct {
     hg_hair_metrics metrics;             /* of the minimum; the last two of them are NAN. Its energies are those that were minimised; dynamic: without the first frame */
-    int64_t solves, converged;           /* strands times frames */
+    int64_t solves, converged, stalled;  /* strands times frames; see hg_minimised */
     int64_t evaluations;
     double iterations, seconds;          /* mean of a strand; of it all */
     double force, movement;              /* largest that is left anywhere: N, m */
