@@ -61,7 +61,8 @@ static hg_status compare(const hg_call *call, const char *what, const hg_tensor 
     for (int64_t i = 0; i < n; i++) {
         const double a = hg_tensor_item(here, i), b = hg_tensor_item(wanted, i) + (before ? before[i] : 0);
         if (a == b || (isnan(a) && isnan(b))) continue;
-        if (!(fabs(a - b) <= relative * (fabs(b) + largest))) return differs(call, what, got, i, a, b);
+        if (!isfinite(a) || !isfinite(b) || !(fabs(a - b) <= relative * (fabs(b) + largest)))
+            return differs(call, what, got, i, a, b);
     }
     return HG_OK;
 }

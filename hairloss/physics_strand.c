@@ -376,9 +376,10 @@ static hg_status make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_va
         p->uniform_inputs[i] = now;
     }
     if (given) {
-        if (!same || !d->inputs_there) HG_TRY(hg_tensor_write(d->inputs, p->uniform_inputs));
+        const bool there = same && d->inputs_there;
+        d->uniform_there = d->inputs_there = false; /* until it is */
+        if (!there) HG_TRY(hg_tensor_write(d->inputs, p->uniform_inputs));
         d->inputs_there = true;
-        d->uniform_there = false;
         return hg_launch(p->ctx, &d->values, 1, &args);
     }
     if (!host && same && d->uniform_there) return HG_OK;
@@ -392,9 +393,10 @@ static hg_status make_uniform(hg_strand_pass *p, const hg_frame *frame, int n_va
             ((float *)p->uniform)[j] = (float)p->uniform_values[j];
     }
     if (host) return HG_OK;
+    d->uniform_there = d->inputs_there = false;
+    HG_TRY(hg_tensor_write(d->uniform, p->uniform));
     d->uniform_there = true;
-    d->inputs_there = false;
-    return hg_tensor_write(d->uniform, p->uniform);
+    return HG_OK;
 }
 
 static hg_status missing(const hg_strand_pass *p, hg_input_kind kind, const char *what)

@@ -28,6 +28,7 @@ def run_tests(build, folder, only):
     def run(test):
         words = dict(os.environ, **test["env"])
         words.update(EMULATOR_COVERAGE=folder, HAIRGRAD_CACHE=os.path.join(folder, "cache"), EMULATOR_FLAGS="", EMULATOR_CHECK="0")
+        words["LD_LIBRARY_PATH"] = os.pathsep.join([os.path.join(build, "tests", "emulator")] + [p for p in [os.environ.get("LD_LIBRARY_PATH")] if p])  # where there is a GPU, too
         done = subprocess.run(test["cmd"], env=words, cwd=build, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
         return test["name"], done.returncode, done.stdout
 

@@ -395,6 +395,21 @@ static void test_record_ends(void **state)
     run_line(ctx, y, 5, 0, x);
     assert_int_equal(hg_step_run(ctx), HG_OK);
     assert_true(hg_tensor_item(x, 0) == 15);
+    /* an error that memory being freed comes upon is told at the end, and what is behind it is not run */
+    static const hg_kernel wide = {
+        .name = "line", .cuda = hg_kernel_text, .args_size = sizeof(line_args), .threads = 4096
+    };
+    const line_args args = { .x = x->data, .y = x->data };
+    hg_tensor *gone = own(ctx, 100);
+    assert_int_equal(hg_step_record(ctx), HG_OK);
+    assert_int_equal(hg_launch(ctx, &wide, 8, &args), HG_OK);
+    hg_tensor_destroy(gone);
+    run_line(ctx, y, 7, 0, x);
+    hg_tensor_destroy(own(ctx, 100));
+    assert_int_equal(hg_step_run(ctx), HG_NUMERIC);
+    assert_non_null(strstr(hg_ctx_message(ctx), "cuda: line: CUDA_ERROR_"));
+    hg_ctx_clear(ctx);
+    assert_true(hg_tensor_item(x, 0) == 15);
     assert_int_equal(hg_step_record(ctx), HG_OK); /* destroyed in the middle of one */
     run_line(ctx, y, 5, 0, x);
     hg_tensor_destroy(x);

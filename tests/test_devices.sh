@@ -64,6 +64,37 @@ if [ -f "$emulator/libcuda.so.1" ]; then
     EMULATOR_NO_DEVICE=1 "$hairgrad" devices > out
     grep -q '^cuda .*not usable: the NVIDIA driver found no GPU that it can use' out || fail "no GPU: $(cat out)"
     EMULATOR_NO_DEVICE=1 "$hairgrad" gradcheck matmul --device auto > /dev/null || fail "--device auto without a GPU"
+
+    # A short training and what it is judged by: the same bits in every order of threads, and what the processor says.
+    cat > recipe.yaml <<'END'
+scene: { strands: 20, vertices: 6, seconds: 1 s, motion_kinds: [nod], held_out_kinds: [turn] }
+model: { width: 16 }
+features: { history: 2, latent: 4, lock_size: 16, encoder_width: 16, encoder_steps: 10 }
+losses: { stretch: {}, bend_twist: {}, gravity: {}, inertia: {}, body_collision: {} }
+training: { strands: 16, frames: 2, steps: 6, warm_up: 2, log_every: 2, validate_every: 6, checkpoint_every: 6, validation_frames: 2 }
+END
+    for order in 0 1 2; do
+        EMULATOR_ORDER=$order "$hairgrad" train recipe.yaml --device cuda -o run$order > log 2>&1 || fail "train --device cuda: $(cat log)"
+        EMULATOR_ORDER=$order "$hairgrad" evaluate run$order --device cuda --frames 3 --json $order.json > table 2> log || fail "evaluate --device cuda: $(cat log)"
+    done
+    "$hairgrad" evaluate run0 --device cpu --frames 3 --json cpu.json > cpu.table 2> log || fail "evaluate --device cpu: $(cat log)"
+    command -v python3 > /dev/null || exit 0
+    python3 - <<'PYTHON' || fail "evaluate on the emulated device: see above"
+import json
+def numbers(value, at=""):
+    if isinstance(value, dict):
+        return {k: v for key in value for k, v in numbers(value[key], at + "." + key).items()}
+    if isinstance(value, list):
+        return {k: v for i, item in enumerate(value) for k, v in numbers(item, "%s[%d]" % (at, i)).items()}
+    timed = any(word in at for word in ("time", "second", "ms", "rate", "per_s"))
+    return {at: float(value)} if isinstance(value, (int, float)) and not isinstance(value, bool) and not timed else {}
+first, second, third, cpu = (numbers(json.load(open(name + ".json"))) for name in ("0", "1", "2", "cpu"))
+assert len(first) > 5, first
+assert first == second == third, [(k, first[k], second.get(k), third.get(k)) for k in first if not first[k] == second.get(k) == third.get(k)]
+least = lambda k: 1e-9 if "joule" in k or "terms" in k else 1
+off = {k: (first[k], v) for k, v in cpu.items() if abs(first[k] - v) > 1e-3 * max(abs(v), least(k))}
+assert not off, off
+PYTHON
 else
     echo "skip: there is no emulated device here"
 fi

@@ -47,13 +47,13 @@ static void *alloc(hg_device *device, size_t bytes)
     return NULL;
 }
 
-/* What was launched, or kept, may still use it. Errors come up again at the next wait. */
+/* What was launched, or kept, may still use it. */
 static void release(hg_device *device, void *memory)
 {
     hg_cuda_device *d = of(device);
     if (!memory || hg_cuda_enter(d) != HG_OK) return;
-    hg_cuda_flush(d);
-    d->api->cuStreamSynchronize(d->stream);
+    hg_cuda_flush_untold(d);
+    d->api->cuStreamSynchronize(d->stream); /* an error of a kernel comes up again at the next wait */
     d->api->cuMemFree((CUdeviceptr)(uintptr_t)memory);
 }
 

@@ -60,6 +60,8 @@ struct hg_cuda_device {
     size_t calls_size, calls_room;
     hg_cuda_part *parts;
     int n_parts, part;
+    hg_status untold; /* an error that could not be returned: the next flush does */
+    char untold_message[1024];
     hg_arena inbox; /* device memory where uploads of a recorded step wait for their turn */
 };
 
@@ -77,8 +79,9 @@ void hg_cuda_staging_free(hg_cuda_device *device);
 typedef hg_status (*hg_cuda_call)(hg_cuda_device *device, const void *args);
 hg_status hg_cuda_do(hg_cuda_device *device, const char *name, hg_cuda_call call, const void *args, size_t size);
 void *hg_cuda_keep(hg_cuda_device *device, hg_cuda_call call,
-                   size_t size);                 /* room for its arguments; NULL after hg_fail */
-hg_status hg_cuda_flush(hg_cuda_device *device); /* runs what was kept so far */
+                   size_t size);                   /* room for its arguments; NULL after hg_fail */
+hg_status hg_cuda_flush(hg_cuda_device *device);   /* runs what was kept so far */
+void hg_cuda_flush_untold(hg_cuda_device *device); /* for who returns nothing: an error is the next flush's */
 hg_status hg_cuda_record(hg_device *device);
 hg_status hg_cuda_run(hg_device *device);
 void hg_cuda_graphs_forget(hg_cuda_device *device); /* nothing that was recorded is replayed again */

@@ -22,6 +22,7 @@
  * Lists, inbox and graphs are kept from step to step: the steady state allocates nothing. */
 #include "tensor/cuda/device.h"
 
+#include <stdio.h>
 #include <string.h>
 
 static hg_cuda_device *of(hg_device *device) { return (hg_cuda_device *)(void *)device; }
@@ -112,8 +113,15 @@ static hg_cuda_part *next_part(hg_cuda_device *d)
     return &d->parts[d->part++];
 }
 
+/* Behind an error nothing more is run: what was kept goes. */
 hg_status hg_cuda_flush(hg_cuda_device *d)
 {
+    const hg_status untold = d->untold;
+    d->untold = HG_OK;
+    if (untold != HG_OK) {
+        d->calls_size = 0;
+        return hg_fail(untold, "%s", d->untold_message);
+    }
     if (d->calls_size == 0) return HG_OK;
     hg_cuda_part *part = next_part(d);
     const size_t size = d->calls_size;
@@ -137,6 +145,12 @@ hg_status hg_cuda_flush(hg_cuda_device *d)
     if (part->refused) return run_calls(d, part->calls, size);
     d->device.counts.replays++;
     return hg_cuda_check(d->api, d->api->cuGraphLaunch(part->graph, d->stream), "replaying a step");
+}
+
+void hg_cuda_flush_untold(hg_cuda_device *d)
+{
+    d->untold = hg_cuda_flush(d);
+    if (d->untold != HG_OK) snprintf(d->untold_message, sizeof d->untold_message, "%s", hg_message());
 }
 
 void hg_cuda_graphs_forget(hg_cuda_device *d)

@@ -64,6 +64,7 @@ static void add_includes(source *s, const char *text)
     }
 }
 
+/* The text alone: of a kernel whose module is there nothing more is needed. */
 static hg_status make_source(const hg_kernel *kernel, source *s)
 {
     memset(s, 0, sizeof *s);
@@ -75,9 +76,7 @@ static hg_status make_source(const hg_kernel *kernel, source *s)
             return hg_fail(HG_UNSUPPORTED, "%s: the library carries no file %s for CUDA", kernel->name, kernel->cuda);
         hg_text_add(&s->text, "#include \"%s\"\n", file->name);
     }
-    if (s->text.failed) return HG_MEMORY;
-    add_includes(s, s->text.data);
-    return HG_OK;
+    return s->text.failed ? HG_MEMORY : HG_OK;
 }
 
 /* ---- NVRTC ---- */
@@ -198,12 +197,13 @@ static hg_status find_image(const hg_cuda_device *d, const hg_kernel *kernel, co
     return status;
 }
 
-static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, const source *s, hg_cuda_module **out)
+static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, source *s, uint64_t key, hg_cuda_module **out)
 {
     target t;
     void *image = NULL;
     size_t size = 0;
     HG_TRY(find_target(d, &t));
+    add_includes(s, s->text.data);
     hg_cuda_module *module = hg_alloc(1, sizeof *module);
     if (!module) return HG_MEMORY;
     hg_status status = find_image(d, kernel, s, &t, &image, &size);
@@ -213,7 +213,7 @@ static hg_status make_module(hg_cuda_device *d, const hg_kernel *kernel, const s
         hg_free(module);
         return status;
     }
-    module->key = hg_hash(s->text.data, s->text.size, 0);
+    module->key = key;
     module->carried = !is_text(kernel->cuda);
     module->next = d->modules;
     d->modules = *out = module;
@@ -227,7 +227,7 @@ static hg_status find_module(hg_cuda_device *d, const hg_kernel *kernel, hg_cuda
     if (status == HG_OK) {
         const uint64_t key = hg_hash(s.text.data, s.text.size, 0);
         for (*out = d->modules; *out && (*out)->key != key;) *out = (*out)->next;
-        if (!*out) status = make_module(d, kernel, &s, out);
+        if (!*out) status = make_module(d, kernel, &s, key, out);
     }
     hg_text_free(&s.text);
     return status;
@@ -322,7 +322,7 @@ void hg_cuda_forget(hg_device *device, const hg_kernel *kernel)
     const hg_cuda_kernel *k = d->n_room ? cell(d->kernels, d->n_room, kernel) : NULL;
     if (!k || !k->kernel || hg_cuda_enter(d) != HG_OK) return;
     hg_cuda_module *module = k->module;
-    hg_cuda_flush(d);
+    hg_cuda_flush_untold(d);
     if (d->last == kernel->name) d->last = "a kernel that is gone";
     take_out(d, kernel);
     if (--module->users > 0 || module->carried) return;
