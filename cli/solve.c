@@ -75,11 +75,10 @@ static void print_solution(const hg_hair_solution *s)
     printf("%-20s %12.4f %12.4f\n", "sum", 1e9 * m->energy, 1e9 * m->energy_posed);
     printf("length error %.3f %%, turned %.2f degrees, inside %.3f %% (posed %.3f %%)\n", m->length_error,
            m->orientation, m->inside, m->inside_posed);
-    printf("%lld of %lld strands at their minimum, %lld in a kink of the energy; largest movement left %.2g m, force "
-           "%.2g N\n",
-           (long long)s->converged, (long long)s->solves, (long long)s->stalled, s->movement, s->force);
-    printf("%.0f iterations a strand, %lld evaluations, %.1f s\n", s->iterations, (long long)s->evaluations,
-           s->seconds);
+    printf("%lld of %lld strands at their minimum, %lld in or beside a kink of the energy, which sink no more\n",
+           (long long)s->converged, (long long)s->solves, (long long)s->stalled);
+    printf("largest movement left %.2g m, force %.2g N; %.0f iterations a strand, %lld evaluations, %.1f s\n",
+           s->movement, s->force, s->iterations, (long long)s->evaluations, s->seconds);
 }
 
 static hg_status solve_run(hg_ctx *ctx, const hg_arguments *arguments, const char *path)

@@ -233,7 +233,8 @@ static hg_status restart(hg_minimiser *m, int64_t *running)
     bool kicks = false;
     for (hg_problem *p = m->problem; p < m->problem + m->problems; p++) {
         if (p->state != HG_PROBLEM_RUNS) continue;
-        p->left = p->far;
+        const int64_t first = (p - m->problem) * m->group;
+        for (int64_t i = first; i < first + m->group; i++) m->result[i].movement = m->part[i * PARTS + 1];
         if (!(p->far < m->options.movement) && p->slope < 0) {
             if (p->stalls >= (m->group > 1 ? 8 : 2)) p->state = HG_PROBLEM_STUCK;
             continue;

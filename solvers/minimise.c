@@ -206,12 +206,12 @@ static hg_status judge(hg_minimiser *m)
         hg_problem *p = &m->problem[i / m->group];
         memcpy(m->q + i * m->n, m->g + i * m->n, (size_t)m->n * sizeof *m->q);
         hg_strand_solve(m, i, m->q + i * m->n);
-        p->left = fmax(p->left, longest(m->q + i * m->n, m->n));
-        if (!m->definite[i] && m->group == 1) p->state = HG_PROBLEM_STUCK;
+        m->result[i].movement = longest(m->q + i * m->n, m->n);
+        if (!(m->result[i].movement < m->options.movement) || (!m->definite[i] && m->group == 1))
+            p->state = HG_PROBLEM_STUCK;
     }
     for (int64_t p = 0; p < m->problems; p++)
-        if (m->problem[p].state == HG_PROBLEM_RUNS && m->problem[p].left < m->options.movement)
-            m->problem[p].state = HG_PROBLEM_DONE;
+        if (m->problem[p].state == HG_PROBLEM_RUNS) m->problem[p].state = HG_PROBLEM_DONE;
     return HG_OK;
 }
 
@@ -224,10 +224,10 @@ static hg_status finish(hg_minimiser *m, hg_tensor *x, hg_solution *solution)
         hg_minimised *r = &m->result[i];
         r->after = strand_energy(m, i);
         r->force = longest((const double *)m->gradient->data + (i * m->V + m->pinned) * 3, m->n);
-        r->movement = p->left;
         r->iterations = p->iterations;
-        r->converged = p->state == HG_PROBLEM_DONE;
-        r->stalled = p->state == HG_PROBLEM_STUCK && m->options.method == HG_LBFGS;
+        r->converged = p->state == HG_PROBLEM_DONE || (m->group > 1 && p->state == HG_PROBLEM_STUCK &&
+                                                       r->movement < m->options.movement); /* held up by others */
+        r->stalled = p->state == HG_PROBLEM_STUCK && !r->converged && m->options.method == HG_LBFGS;
         solution->before += r->before;
         solution->after += r->after;
         solution->converged += r->converged;

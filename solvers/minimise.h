@@ -33,7 +33,6 @@ typedef struct {
     double slope, step;
     double far, bend; /* of the direction: largest movement [m], largest change of an edge against its length */
     bool accepted;    /* the point is new, and has no direction yet */
-    double left;      /* the last full step with a new Hessian [m] */
     double rho[HG_MINIMISE_MEMORY], alpha[HG_MINIMISE_MEMORY], with_gradient[HG_MINIMISE_MEMORY];
     double product[HG_MINIMISE_MEMORY][HG_MINIMISE_MEMORY]; /* s_i . y_j */
 } hg_problem;

@@ -38,7 +38,7 @@ typedef struct {
     bool (*stop)(void *); void *stop_self; /* asked once an iteration; true: what was reached is left in x, and interrupted is set */
 } hg_minimise_options;
 
-/* One strand; where strands act on each other, movement, iterations and converged are those of all of its frame. */
+/* One strand; where strands act on each other, its iterations are those of its frame, and so is what new Hessians brought. */
 typedef struct {
     double before, after;                /* J, weighted: sum of its terms at the start and at the end */
     double force;                        /* N: largest on a free vertex */
