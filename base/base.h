@@ -81,7 +81,7 @@ uint64_t hg_random_below(uint64_t seed, uint64_t stream, uint64_t counter, uint6
 
 /* Of the headers: what is registered says which one it was compiled with. Raised whenever a struct that is registered, or
  * one that it is handed, changes. */
-#define HG_ABI_VERSION 1
+#define HG_ABI_VERSION 2
 
 typedef struct hg_entry { uint64_t abi /* HG_ABI_VERSION */; const char *kind, *name; const void *item; struct hg_entry *next; } hg_entry;
 
