@@ -235,4 +235,3 @@ static inline void HG_B(body_closest)(const hg_body_query *query, int64_t first,
         group_outside = bounded && around.n == 0 && free_here > 0;
     }
 }
-

@@ -15,7 +15,7 @@ struct hg_ctx {
     hg_arena host, data;
     bool guard;
     void *tape;
-    hg_ctx *beside; /* hg_ctx_on_host, of a device that is not the host; NULL: not made yet */
+    hg_ctx *beside;      /* hg_ctx_on_host, of a device that is not the host; NULL: not made yet */
     hg_profile *profile; /* NULL: nothing is counted */
     const char *file;
     int line;
