@@ -446,7 +446,7 @@ static void resumed_equals_uninterrupted(void **state)
     assert_int_equal(bytes, same);
     assert_memory_equal(expected, found, bytes);
     assert_true(part.best_validation == whole.best_validation);
-    /* the two sessions more each note their back end, and nothing else is logged twice */
+    /* the two runs more each note their back end, and nothing else is logged twice */
     assert_int_equal(lines("parts"), lines("whole") + 4);
     free(expected);
     free(found);
