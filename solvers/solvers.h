@@ -3,7 +3,7 @@
  *
  *     hg_minimiser_create(&minimiser, ctx, physics, frames, strands, vertices, &(hg_minimise_options){ .pinned = 2 });
  *     hg_minimise(minimiser, &frame, x, &solution);            x: the posed strands before, the minimum after
- *     if (solution.converged < solution.strands) ...            how far it is from there: solution.force, solution.movement
+ *     bool there = solution.converged == solution.strands;     else how far it is: solution.force, solution.movement
  *     hg_minimiser_destroy(minimiser);
  *
  *     const char *const names[] = { "bend_twist.stiffness" };
