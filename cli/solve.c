@@ -54,9 +54,11 @@ static hg_status whole(const hg_arguments *arguments, const char *name, int64_t 
 static hg_status take_options(const hg_arguments *arguments, hg_hair_solve_options *options)
 {
     const char *method = cli_value(arguments, "method", "lbfgs");
-    if (strcmp(method, "lbfgs") && strcmp(method, "adam"))
-        return hg_fail(HG_INVALID, "--method %s: lbfgs or adam", method);
-    options->minimise.method = strcmp(method, "adam") ? HG_LBFGS : HG_ADAM;
+    static const char *const methods[] = { [HG_LBFGS] = "lbfgs", [HG_ADAM] = "adam", [HG_XPBD] = "xpbd" };
+    int number = 0;
+    while (number < 3 && strcmp(method, methods[number])) number++;
+    if (number == 3) return hg_fail(HG_INVALID, "--method %s: lbfgs, adam or xpbd", method);
+    options->minimise.method = (hg_minimise_method)number;
     options->minimise.stop = cli_interrupted;
     options->dynamic = cli_flag(arguments, "dynamic");
     HG_TRY(whole(arguments, "first", &options->first));

@@ -88,6 +88,8 @@ hg_status hg_minimiser_create(hg_minimiser **out, hg_ctx *ctx, hg_physics *physi
     *out = NULL;
     if (!hg_ctx_host(ctx))
         return hg_fail(HG_UNSUPPORTED, "minimise: it runs on the processor; give it the context of hg_ctx_on_host");
+    if (options && options->method == HG_XPBD)
+        return hg_fail(HG_INVALID, "minimise: xpbd is a solver of its own, hg_xpbd; the methods here are lbfgs and adam");
     if (frames < 0 || strands < 0 || vertices < 1)
         return hg_fail(HG_INVALID, "minimise: %lld frames of %lld strands of %lld vertices", (long long)frames,
                        (long long)strands, (long long)vertices);

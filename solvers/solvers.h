@@ -26,7 +26,7 @@ extern "C" {
 
 /* ---- minima of an energy over the vertices --------------------------------------------------------------------- */
 
-typedef enum { HG_LBFGS, HG_ADAM } hg_minimise_method;
+typedef enum { HG_LBFGS, HG_ADAM, HG_XPBD /* of hg_hair_solve alone: hg_xpbd below, hg_minimiser refuses it */ } hg_minimise_method;
 
 /* Zero stands for the default. */
 typedef struct {
@@ -71,6 +71,21 @@ void      hg_minimiser_destroy(hg_minimiser *minimiser);         /* NULL is fine
 /* x [B,S,V,3] f64: the start, then the minimum; frame as for hg_physics_evaluate. HG_NUMERIC where the start is not finite or has no
  * finite energy; x is untouched then. Not to converge is no error: the solution says so. */
 hg_status hg_minimise(hg_minimiser *minimiser, const hg_frame *frame, hg_tensor *x, hg_solution *solution);
+
+/* ---- position-based dynamics -------------------------------------------------------------------------------------- */
+
+/* Zero stands for the default. */
+typedef struct {
+    int pinned;                          /* first vertices of a strand that go where the posed groom has them; 0: 1 */
+    int substeps, iterations;            /* of a step; 0: 20, and 10 in each */
+    bool dynamic;                        /* velocities are kept; else they are forgotten after every substep: hair comes to rest */
+    bool cold;                           /* multipliers start from zero in every substep, as published; else from those of the one before */
+    double dt;                           /* s, of a step; 0: 1/30 */
+    int64_t steps;                       /* at rest: at most so many of a frame; 0: 200 */
+    double movement;                     /* m: it is at rest when no vertex moves farther in a step; 0: 1e-6 */
+    double strand_distance;              /* m: vertices of different strands keep it between them, or what they have at rest; 0: strands do not feel each other */
+    bool (*stop)(void *); void *stop_self; /* asked once a step, see hg_minimise_options */
+} hg_xpbd_options;
 
 /* ---- stiffnesses of a drape ------------------------------------------------------------------------------------ */
 

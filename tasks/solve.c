@@ -356,6 +356,8 @@ hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
                          (long long)motion->frames, (long long)options.strands);
     if (options.frames <= 0 || options.first + options.frames > motion->frames)
         options.frames = motion->frames - options.first;
+    if (options.minimise.method == HG_XPBD)
+        status = hg_fail(HG_UNSUPPORTED, "solve: xpbd is not part of this version yet; lbfgs and adam are");
     solving s = { .task = task,
                   .ctx = hg_ctx_on_host(ctx),
                   .motion = motion,

@@ -116,7 +116,8 @@ hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clip
  * groom, and energies that know of other frames (inertia, drag) are left out. dynamic: frame `first` so, at rest; then each frame is
  * the minimum of all energies with the two frames before it. */
 typedef struct {
-    hg_minimise_options minimise;        /* pinned 0: the config's */
+    hg_minimise_options minimise;        /* pinned 0: the config's; its method says who solves */
+    hg_xpbd_options xpbd;                /* method HG_XPBD: substeps, iterations, cold, steps, movement, strand_distance; the rest is the solve's */
     bool dynamic;
     int64_t first, frames;               /* frames 0: to the end of the clip */
     int64_t strands;                     /* so many, evenly over the groom; 0: as many as a training step has */
