@@ -166,6 +166,9 @@ hg_tensor *hg_physics_unweighted(const hg_physics *physics);
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
 /* The gradient of the strands as if each were alone: without pairs and neighbour sums. For solvers. */
 hg_status hg_physics_evaluate_alone(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, hg_tensor *gradient);
+/* Until it is let go the body is where it is in the next call: it is fitted once, and contact is searched for vertices that moved since
+ * the call before. The results are the same. For solvers, one frame, on the processor; elsewhere it changes nothing. */
+void       hg_physics_hold_body(hg_physics *physics, bool held);
 #ifndef HG_NO_CALLER
 #define hg_physics_energy(physics, ctx, ...) (hg_physics_energy)(physics, HG_HERE(ctx), __VA_ARGS__)
 #endif

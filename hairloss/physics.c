@@ -1,6 +1,7 @@
 /* Physics: a weighted set of energies over one or more grooms. Window energies are one strand pass, contact is found
  * before it, pairs and fields have passes of their own after it. On the tape it is one op: value and gradient are made
  * together, and backward only scales what was made. */
+#include "hairloss/physics_contact.h"
 #include "hairloss/physics_inputs.h"
 #include "hairloss/physics_kernels.h"
 
@@ -50,10 +51,7 @@ struct hg_physics {
     bool strands_alone; /* the others are left out */
 
     int contact; /* term that asks for it, -1: none */
-    hg_contact_mode mode;
-    hg_body_refit *refit;  /* of the frames of the batch */
-    hg_tensor *triangles;  /* [B,S,V] the last closest triangles: guesses for the next call */
-    int64_t frames;        /* how many the two have room for */
+    hg_physics_contact body;
     hg_tensor *weights;    /* [n] f64 */
     hg_tensor *unweighted; /* [n] f64 of the last call, of its step */
     double *sums;          /* [n] the same, read back where the host asks for it */
@@ -157,12 +155,12 @@ static hg_status copy_terms(hg_physics *p, const hg_term *terms)
         if (term->energy->contact) {
             const char *mode = hg_term_option(term, "mode");
             const hg_contact_mode wanted = mode && strcmp(mode, "exact") == 0 ? HG_CONTACT_EXACT : HG_CONTACT_PLANE;
-            if (p->contact >= 0 && p->mode != wanted)
+            if (p->contact >= 0 && p->body.mode != wanted)
                 return hg_fail(HG_UNSUPPORTED,
                                "energies '%s' and '%s' ask for different contact modes; one query serves both",
                                p->terms[p->contact].energy->name, term->energy->name);
             if (p->contact < 0) p->contact = t;
-            p->mode = wanted;
+            p->body.mode = wanted;
         }
         if (term->energy->site.kind != HG_SITE_WINDOW) continue;
         if (term->energy->site.count < 1 || !term->energy->trace)
@@ -252,7 +250,7 @@ void hg_physics_destroy(hg_physics *physics)
     for (int i = 0; i < VARIANTS; i++) hg_strand_pass_destroy(physics->strands[i].pass);
     hg_physics_asks_free(&physics->asks);
     for (int i = 0; i < physics->n_others; i++) physics->others[i].kind->destroy(physics->others[i].self);
-    hg_body_refit_destroy(physics->refit);
+    hg_physics_contact_free(&physics->body);
     for (int i = 0; i < physics->data.n_attributes; i++) {
         hg_free((void *)physics->attributes[i].name);
         hg_free((void *)physics->attributes[i].values);
@@ -260,7 +258,6 @@ void hg_physics_destroy(hg_physics *physics)
     hg_free(physics->attributes);
     hg_free((void *)physics->data.rest);
     hg_free((void *)physics->data.mass);
-    hg_tensor_destroy(physics->triangles);
     hg_tensor_destroy(physics->weights);
     hg_free(physics->terms);
     hg_free(physics->params);
@@ -368,26 +365,14 @@ static hg_status find_contact(hg_physics *p, hg_ctx *ctx, const hg_frame *frame,
     if (!frame->body_vertices)
         return hg_fail(HG_INVALID, "energy '%s' needs frame.body_vertices, which was not given",
                        p->terms[p->contact].energy->name);
-    const int64_t B = x->shape[0], points = p->data.strands * p->data.vertices;
-    const size_t bytes = (size_t)(B * points * 3) * hg_dtype_size(p->dtype);
-    if (B > p->frames) {
-        hg_tensor *triangles = hg_tensor_create(ctx, HG_I32, 1, (int64_t[]){ B * points });
-        if (!triangles) return HG_MEMORY;
-        hg_tensor_destroy(p->triangles);
-        p->triangles = triangles;
-        HG_TRY(hg_tensor_fill(triangles, -1));
-        hg_body_refit_destroy(p->refit);
-        p->frames = 0;
-        HG_TRY(hg_body_refit_create_frames(&p->refit, p->data.body, p->dtype, B));
-        p->frames = B;
-    }
-    *point = hg_step_device(ctx, bytes + 1);
-    *normal = hg_step_device(ctx, bytes + 1);
-    if (!*point || !*normal)
-        return hg_fail(HG_MEMORY, "out of memory for the contacts of %lld vertices", (long long)(B * points));
-    if (B == 0) return HG_OK;
-    HG_TRY(hg_body_refit_update_frames(ctx, p->refit, B, frame->body_vertices->data));
-    return hg_body_closest(ctx, p->refit, p->mode, reach, points, x->data, p->triangles->data, *point, *normal);
+    return hg_physics_contact_find(&p->body, ctx, p->dtype, p->data.body, frame->body_vertices, x, reach, point,
+                                   normal);
+}
+
+void hg_physics_hold_body(hg_physics *physics, bool held)
+{
+    physics->body.held = held;
+    physics->body.known = false;
 }
 
 /* The strand pass for what a call brings and wants. */

@@ -244,6 +244,15 @@ static hg_status finish(hg_minimiser *m, hg_tensor *x, hg_solution *solution)
     return hg_tensor_copy(x, m->trial);
 }
 
+static hg_status minimise(hg_minimiser *m, hg_tensor *x, hg_solution *solution)
+{
+    HG_TRY(start(m, x));
+    HG_TRY(m->options.method == HG_ADAM ? hg_minimise_adam(m) : hg_minimise_lbfgs(m));
+    solution->interrupted = m->interrupted;
+    if (m->options.method == HG_ADAM) HG_TRY(judge(m));
+    return finish(m, x, solution);
+}
+
 hg_status hg_minimise(hg_minimiser *m, const hg_frame *frame, hg_tensor *x, hg_solution *solution)
 {
     hg_solution unused;
@@ -256,9 +265,8 @@ hg_status hg_minimise(hg_minimiser *m, const hg_frame *frame, hg_tensor *x, hg_s
         return hg_fail(HG_INVALID, "minimise: x is %s; it was made for f64 [%lld,%lld,%lld,3]", hg_shape_text(x, text),
                        (long long)m->B, (long long)m->S, (long long)m->V);
     m->frame = frame;
-    HG_TRY(start(m, x));
-    HG_TRY(m->options.method == HG_ADAM ? hg_minimise_adam(m) : hg_minimise_lbfgs(m));
-    solution->interrupted = m->interrupted;
-    if (m->options.method == HG_ADAM) HG_TRY(judge(m));
-    return finish(m, x, solution);
+    hg_physics_hold_body(m->physics, true);
+    const hg_status status = minimise(m, x, solution);
+    hg_physics_hold_body(m->physics, false);
+    return status;
 }

@@ -162,7 +162,7 @@ hg_status hg_strand_hessians(hg_minimiser *m)
     for (int64_t colour = 0; colour < colours && colour < free; colour++)
         for (int axis = 0; axis < 3; axis++) {
             for (int64_t i = 0; i < m->strands; i++)
-                for (int64_t v = colour; v < free; v += colours)
+                for (int64_t v = colour; m->problem[i / m->group].state < HG_PROBLEM_DONE && v < free; v += colours)
                     trial[(i * m->V + m->pinned + v) * 3 + axis] = m->x[i * m->n + 3 * v + axis] + direction(m, i);
             HG_TRY(hg_minimise_evaluate(m, m->group > 1 ? HG_STRANDS_ALONE : HG_GRADIENT_ALONE));
             const column windows = { m, alone, colour, axis }, all = { m, m->g, colour, axis };
