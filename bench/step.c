@@ -323,7 +323,8 @@ void bench_step(bench *b)
 typedef struct {
     hg_ctx *ctx;
     hg_hair_task *task;
-    hg_tensor *part, *rest;
+    hg_hair_part part;
+    hg_tensor *rest;
     float *inputs, *rotation, *position, *x;
     hg_dtype compute;
 } inference;
@@ -335,7 +336,8 @@ static void infer(void *self, double *ms, int n)
     for (int i = -1; i < n; i++) {
         hg_step_reset(s->ctx);
         const double start = bench_now();
-        bench_need(hg_hair_predict_frame(s->task, s->ctx, s->part, s->inputs, s->rest, s->rotation, s->position, s->x));
+        bench_need(
+            hg_hair_predict_frame(s->task, s->ctx, &s->part, s->inputs, s->rest, s->rotation, s->position, s->x));
         if (i >= 0) ms[i] = bench_now() - start;
     }
     bench_need(hg_ctx_compute(s->ctx, HG_F32));
@@ -368,15 +370,8 @@ static inference make_inference(bench *b, int c)
     hg_free(all);
     hg_free(all_rest);
     for (int i = 0; i < task->layout.frame_inputs; i++) s.inputs[i] = (float)hg_random_normal(11, 0, (uint64_t)i);
-    hg_step_reset(ctx);
-    hg_no_grad_begin(ctx);
-    hg_model *model = hg_hair_model(task);
-    hg_tensor *part = model->strand_part(model->self, ctx, features);
-    hg_no_grad_end(ctx);
-    if (!part) bench_need(hg_ctx_status(ctx));
-    s.part = hg_tensor_create(ctx, HG_F32, 2, part->shape);
-    if (!s.part) bench_need(HG_MEMORY);
-    bench_need(hg_tensor_copy(s.part, part));
+    const hg_hair_subset strands = { .grooms = 1, .n = many, .features = features };
+    bench_need(hg_hair_part_keep(&s.part, task, ctx, &strands));
     hg_tensor_destroy(features);
     hg_step_reset(ctx);
     return s;
@@ -384,7 +379,7 @@ static inference make_inference(bench *b, int c)
 
 static void end_inference(inference *s)
 {
-    hg_tensor_destroy(s->part);
+    hg_hair_part_free(&s->part);
     hg_tensor_destroy(s->rest);
     hg_free(s->inputs);
     hg_free(s->rotation);

@@ -3,16 +3,21 @@
 
 #include <string.h>
 
+hg_status hg_architecture_find(const hg_architecture **architecture, const char *name)
+{
+    *architecture = hg_find("model", name);
+    if (*architecture) return HG_OK;
+    const char *near = hg_nearest("model", name);
+    return hg_fail(HG_INVALID, "model: there is no architecture \"%s\"%s%s%s", name,
+                   near ? "; did you mean \"" : "; one of a plug-in is known once --plugin has loaded it",
+                   near ? near : "", near ? "\"?" : "");
+}
+
 hg_status hg_model_create(hg_model **model, hg_ctx *ctx, const char *architecture, const hg_model_spec *spec)
 {
     *model = NULL;
-    const hg_architecture *found = hg_find("model", architecture);
-    if (!found) {
-        const char *near = hg_nearest("model", architecture);
-        return hg_fail(HG_INVALID, "model: there is no architecture \"%s\"%s%s%s", architecture,
-                       near ? "; did you mean \"" : "; one of a plug-in is known once --plugin has loaded it",
-                       near ? near : "", near ? "\"?" : "");
-    }
+    const hg_architecture *found;
+    HG_TRY(hg_architecture_find(&found, architecture));
     if (spec->inputs < 1 || spec->outputs < 1 || spec->width < 1 || spec->depth < 1 || spec->strand_inputs < 0 ||
         spec->strand_inputs > spec->inputs)
         return hg_fail(HG_INVALID,

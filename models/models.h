@@ -41,8 +41,13 @@ typedef struct {
 } hg_model_spec;
 
 /* An architecture: one file, registered as kind "model". */
-typedef struct { const char *name, *what; hg_status (*create)(hg_model **model, hg_ctx *ctx, const hg_model_spec *spec); } hg_architecture;
+typedef struct {
+    const char *name, *what;
+    hg_status (*create)(hg_model **model, hg_ctx *ctx, const hg_model_spec *spec);
+    bool images;                                 /* forward([B,inputs]) is images [B,outputs,texture,texture] of all strands of a groom, not a row for each strand */
+} hg_architecture;
 
+hg_status hg_architecture_find(const hg_architecture **architecture, const char *name);
 hg_status hg_model_create(hg_model **model, hg_ctx *ctx, const char *architecture, const hg_model_spec *spec);
 void      hg_model_destroy(hg_model *model);
 int64_t   hg_model_weights(const hg_model *model);

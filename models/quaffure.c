@@ -57,6 +57,7 @@ static hg_status quaffure_create(hg_model **model, hg_ctx *ctx, const hg_model_s
 static const hg_architecture quaffure_architecture = {
     .name = "quaffure",
     .what = "one network for a groom, an image of displacements over the scalp (Stuyck et al. 2025)",
-    .create = quaffure_create
+    .create = quaffure_create,
+    .images = true
 };
 HG_REGISTER("model", quaffure, &quaffure_architecture);

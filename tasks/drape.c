@@ -8,9 +8,8 @@ typedef struct {
     hg_poser *poser;
     hg_hair_track track;
     bool own_track;
-    int32_t *strand;
-    int64_t n;
-    hg_tensor *features, *rest, *part; /* [n,..]: the same in every frame */
+    hg_hair_subset strands;
+    hg_hair_part part;
     float *body, *rotation, *position, *x, *posed, *raw, *inputs, *rest_points;
 } drape;
 
@@ -18,10 +17,8 @@ static void drape_free(drape *d)
 {
     hg_poser_destroy(d->poser);
     if (d->own_track) hg_hair_track_destroy(&d->track);
-    hg_tensor_destroy(d->features);
-    hg_tensor_destroy(d->rest);
-    hg_tensor_destroy(d->part);
-    hg_free(d->strand);
+    hg_hair_subset_destroy(&d->strands);
+    hg_hair_part_free(&d->part);
     hg_free(d->body);
     hg_free(d->rotation);
     hg_free(d->position);
@@ -32,66 +29,48 @@ static void drape_free(drape *d)
     hg_free(d->rest_points);
 }
 
-/* The first layer's share of the strands, computed once per drape. */
-static hg_status make_part(drape *d, hg_hair_task *task, hg_ctx *ctx)
-{
-    hg_hair_subset strands = {
-        .first = task->current, .grooms = 1, .n = d->n, .strand = d->strand, .rest = d->rest, .features = d->features
-    };
-    HG_TRY(hg_hair_subset_features(&strands, task));
-    hg_step_reset(ctx);
-    hg_no_grad_begin(ctx);
-    hg_tensor *part = task->model->strand_part(task->model->self, ctx, d->features);
-    hg_no_grad_end(ctx);
-    HG_TRY(hg_ctx_status(ctx));
-    d->part = hg_tensor_create(ctx, HG_F32, part->rank, part->shape);
-    if (!d->part) return HG_MEMORY;
-    return hg_tensor_copy(d->part, part);
-}
-
 static hg_status drape_prepare(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t stride)
 {
     const hg_groom *groom = task->groom;
-    const int64_t V = groom->vertices;
-    d->n = (groom->strands + stride - 1) / stride;
+    const int64_t V = groom->vertices, n = (groom->strands + stride - 1) / stride;
+    d->strands = (hg_hair_subset){ .first = task->current, .grooms = 1, .n = n };
     HG_TRY(hg_poser_create(&d->poser, task->body, false));
     HG_TRY(hg_hair_track_create(&d->track, &task->layout, task->body, motion));
     d->own_track = true;
-    d->strand = hg_alloc((size_t)d->n, sizeof *d->strand);
+    d->strands.strand = hg_alloc((size_t)n, sizeof *d->strands.strand);
     d->body = hg_alloc((size_t)hg_poser_vertices(d->poser) * 3, sizeof(float));
-    d->rotation = hg_alloc((size_t)d->n * 4, sizeof(float));
-    d->position = hg_alloc((size_t)d->n * 3, sizeof(float));
-    d->x = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
-    d->posed = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
+    d->rotation = hg_alloc((size_t)n * 4, sizeof(float));
+    d->position = hg_alloc((size_t)n * 3, sizeof(float));
+    d->x = hg_alloc((size_t)(n * V) * 3, sizeof(float));
+    d->posed = hg_alloc((size_t)(n * V) * 3, sizeof(float));
     d->raw = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
     d->inputs = hg_alloc((size_t)task->layout.frame_inputs, sizeof(float));
-    d->rest_points = hg_alloc((size_t)(d->n * V) * 3, sizeof(float));
-    d->features = hg_tensor_create(ctx, HG_F32, 2, (int64_t[]){ d->n, task->strand_inputs });
-    d->rest = hg_tensor_create(ctx, HG_F32, 3, (int64_t[]){ d->n, V, 3 });
-    if (!d->strand || !d->body || !d->rotation || !d->position || !d->x || !d->posed || !d->raw || !d->inputs ||
-        !d->rest_points || !d->features || !d->rest)
+    d->rest_points = hg_alloc((size_t)(n * V) * 3, sizeof(float));
+    if (!d->strands.strand || !d->body || !d->rotation || !d->position || !d->x || !d->posed || !d->raw || !d->inputs ||
+        !d->rest_points)
         return HG_MEMORY;
-    for (int64_t i = 0; i < d->n; i++) d->strand[i] = (int32_t)(i * stride);
-    HG_TRY(make_part(d, task, ctx));
-    return hg_tensor_read(d->rest, d->rest_points);
+    for (int64_t i = 0; i < n; i++) d->strands.strand[i] = (int32_t)(i * stride);
+    HG_TRY(hg_hair_subset_features(&d->strands, task));
+    HG_TRY(hg_hair_part_keep(&d->part, task, ctx, &d->strands));
+    return hg_tensor_read(d->strands.rest, d->rest_points);
 }
 
 static hg_status drape_frame(drape *d, hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape,
                              int64_t frame, hg_drape_sink sink, void *self)
 {
-    const int64_t V = task->groom->vertices, n = d->n;
+    const int64_t V = task->groom->vertices, n = d->strands.n;
     hg_step_reset(ctx);
     HG_TRY(hg_pose(ctx, d->poser, shape, motion, frame, d->body, NULL, NULL));
-    HG_TRY(hg_pose_roots(ctx, d->poser, task->groom, d->strand, n, d->body, d->rotation, d->position));
+    HG_TRY(hg_pose_roots(ctx, d->poser, task->groom, d->strands.strand, n, d->body, d->rotation, d->position));
     hg_hair_track_frame(&task->layout, &d->track, frame, shape, d->raw);
     hg_hair_material_features(task, NULL, d->raw);
     hg_hair_normalise_frame(task, d->raw, d->inputs);
-    HG_TRY(hg_hair_predict_frame(task, ctx, d->part, d->inputs, d->rest, d->rotation, d->position, d->x));
+    HG_TRY(hg_hair_predict_frame(task, ctx, &d->part, d->inputs, d->strands.rest, d->rotation, d->position, d->x));
     hg_pose_strands(ctx, n, V, d->rest_points, d->rotation, d->position, d->posed);
     return sink(self, &(hg_drape_frame){ .frame = frame,
                                          .strands = n,
                                          .vertices = V,
-                                         .strand = d->strand,
+                                         .strand = d->strands.strand,
                                          .x = d->x,
                                          .posed = d->posed,
                                          .body_vertices = d->body,

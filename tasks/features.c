@@ -1,6 +1,6 @@
 /* features: what the network is told of a frame, and how every input is brought to order one.
  *
- *   [root UV 2 | z_rest | z_lock]  of the strand
+ *   [..]                           of the strand or the groom (network_*.c)
  *   [shape 10 | pose: 6 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint) | materials]
  *                                  of the frame
  *
@@ -22,7 +22,7 @@
 #include <string.h>
 
 static const double linear_unit = 1.0, acceleration_unit = 10.0, angular_unit = 3.0; /* m/s, m/s^2, rad/s */
-static const double least_pose = 0.1, least_velocity = 0.2, least_latent = 1e-3;
+static const double least_pose = 0.1, least_velocity = 0.2;
 
 /* ---- layout ------------------------------------------------------------------------------------------------- */
 
@@ -230,26 +230,6 @@ hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motio
 
 /* ---- normalisation ------------------------------------------------------------------------------------------ */
 
-/* Mean and deviation of one strand feature over the strands of all grooms. */
-static void strand_moments(const hg_hair_task *task, int column, double least, double *mean, double *deviation)
-{
-    double sum = 0, squares = 0, n = 0;
-    for (int pass = 0; pass < 2; pass++) {
-        for (int g = 0; g < task->n_grooms; g++) {
-            const hg_hair_style *style = &task->styles[g];
-            for (int64_t i = 0; i < style->groom->strands; i++) {
-                const double value = (double)style->strand_raw[i * task->strand_inputs + column];
-                if (pass)
-                    squares += (value - *mean) * (value - *mean);
-                else
-                    sum += value, n++;
-            }
-        }
-        if (!pass) *mean = sum / n;
-    }
-    *deviation = fmax(sqrt(squares / n), least);
-}
-
 /* Mean and deviation of one channel over all training clips. */
 static void clip_moments(const hg_hair_task *task, bool pose, int channel, double least, double *mean,
                          double *deviation)
@@ -273,7 +253,7 @@ static void clip_moments(const hg_hair_task *task, bool pose, int channel, doubl
     *deviation = fmax(sqrt(squares / (double)task->training_frames), least);
 }
 
-static hg_status add_feature(hg_hair_task *task, char *name, double mean, double deviation)
+hg_status hg_hair_add_feature(hg_hair_task *task, char *name, double mean, double deviation)
 {
     if (!name) return HG_MEMORY;
     const int row = task->n_features++, i = row - (task->rest_columns > 0);
@@ -281,24 +261,6 @@ static hg_status add_feature(hg_hair_task *task, char *name, double mean, double
         (hg_feature){ .name = name, .first = i + task->rest_columns, .count = 1, .mean = mean, .deviation = deviation };
     task->mean[i] = mean;
     task->deviation[i] = deviation;
-    return HG_OK;
-}
-
-static hg_status strand_feature_rows(hg_hair_task *task)
-{
-    const char axis_uv[2] = { 'u', 'v' };
-    for (int k = 0; k < 2; k++) HG_TRY(add_feature(task, hg_format("root_uv.%c", axis_uv[k]), 0.5, 0.29));
-    for (int part = 0; part < 2; part++) {
-        double largest = 0, mean, deviation;
-        for (int k = 0; k < task->latent; k++) {
-            strand_moments(task, 2 + part * task->latent + k, 0, &mean, &deviation);
-            largest = fmax(largest, deviation);
-        }
-        for (int k = 0; k < task->latent; k++) {
-            strand_moments(task, 2 + part * task->latent + k, fmax(0.1 * largest, least_latent), &mean, &deviation);
-            HG_TRY(add_feature(task, hg_format("%s[%d]", part ? "z_lock" : "z_rest", k), mean, deviation));
-        }
-    }
     return HG_OK;
 }
 
@@ -323,10 +285,10 @@ static hg_status frame_feature_rows(hg_hair_task *task)
     const char axis[3] = { 'x', 'y', 'z' };
     double mean[3 + 3 * HG_HAIR_JOINTS], deviation[3 + 3 * HG_HAIR_JOINTS];
     for (int k = 0; layout->shape && k < HG_SHAPES; k++)
-        HG_TRY(add_feature(task, hg_format("shape[%d]", k), 0, fmax(body->shape_spread[k], 0.05)));
+        HG_TRY(hg_hair_add_feature(task, hg_format("shape[%d]", k), 0, fmax(body->shape_spread[k], 0.05)));
     for (int i = 0; i < layout->pose_inputs; i++) {
         clip_moments(task, true, i, least_pose, mean, deviation);
-        HG_TRY(add_feature(
+        HG_TRY(hg_hair_add_feature(
             task, hg_format("pose.%s.%c%c", body->joint_name[layout->pose[i / 6]], axis[i % 6 / 3], axis[i % 3]), *mean,
             *deviation));
     }
@@ -334,7 +296,7 @@ static hg_status frame_feature_rows(hg_hair_task *task)
         clip_moments(task, false, i, least_velocity, mean + i, deviation + i);
     for (int lag = 0; lag < layout->history; lag++)
         for (int i = 0; i < layout->velocity_inputs; i++)
-            HG_TRY(add_feature(
+            HG_TRY(hg_hair_add_feature(
                 task,
                 i < 3 ? hg_format("%s[%d].Head.%c", layout->acceleration ? "acceleration" : "velocity", lag, axis[i])
                       : hg_format("angular_velocity[%d].%s.%c", lag, body->joint_name[layout->velocity[i / 3 - 1]],
@@ -342,8 +304,8 @@ static hg_status frame_feature_rows(hg_hair_task *task)
                 mean[i], deviation[i]));
     for (int i = 0; i < task->n_materials; i++) { /* uniform between two logarithms */
         const double low = log10(task->materials[i].low), high = log10(task->materials[i].high);
-        HG_TRY(add_feature(task, hg_format("log10(%s)", task->materials[i].name), 0.5 * (low + high),
-                           fmax((high - low) / sqrt(12), 1e-3)));
+        HG_TRY(hg_hair_add_feature(task, hg_format("log10(%s)", task->materials[i].name), 0.5 * (low + high),
+                                   fmax((high - low) / sqrt(12), 1e-3)));
     }
     return HG_OK;
 }
@@ -355,7 +317,7 @@ hg_status hg_hair_features_create(hg_hair_task *task)
     task->deviation = hg_alloc((size_t)task->inputs, sizeof(double));
     task->features = hg_alloc((size_t)task->inputs + 1, sizeof *task->features);
     if (!task->mean || !task->deviation || !task->features) return HG_MEMORY;
-    HG_TRY(strand_feature_rows(task));
+    HG_TRY(task->network->name_features(task));
     HG_TRY(rest_row(task));
     HG_TRY(frame_feature_rows(task));
     return hg_hair_features_tensors(task);

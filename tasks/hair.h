@@ -1,9 +1,10 @@
 /* hair: the parts of the hair task; private to tasks/.
  *
- *   schema.c     keys of a config, energies of a config         strands.c    locks, encoder, what belongs to a strand
- *   world.c      body, groom, clips                             features.c   what belongs to a frame, normalisation
+ *   schema.c     keys of a config, energies of a config         world.c      body, groom, clips
+ *   features.c   what belongs to a frame, normalisation         encoder.c    what describes grooms: learnt, kept, read
  *   subset.c     strands of a step and their physics            sample.c     the batch of a step
  *   material.c   parameters of energies that are inputs of the network, or learnt
+ *   network.c    what an output is, strands from the network    network_*.c  a family of networks each
  *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c, solve.c
  */
 #ifndef HG_TASKS_HAIR_H
@@ -73,8 +74,9 @@ typedef struct {
     hg_groom *groom;
     char *name;
     float *body_distance, *scalp_distance; /* [S,V] of the rest groom */
-    float *strand_raw;                     /* [S,strand_inputs] */
     int32_t *lock, locks;                  /* [S] lock of a strand; how many there are */
+    float *raw;                            /* [S,strand_inputs]; of a network of grooms [strand_inputs] */
+    int32_t *texel;                        /* [S] of a network that makes images: where in them; else NULL */
 } hg_hair_style;
 
 /* ---- strands of a step -------------------------------------------------------------------------------------- */
@@ -85,7 +87,8 @@ typedef struct {
     int64_t n;
     int32_t *strand;     /* [G,n] of the groom, ascending */
     hg_tensor *rest;     /* [G n,V,3] f32 */
-    hg_tensor *features; /* [G n,strand_inputs] f32, normalised */
+    hg_tensor *features; /* [G n,strand_inputs] f32, normalised; of a network of grooms [G,strand_inputs] */
+    int32_t *texel;      /* [G n] or NULL, as that of hg_hair_style */
     double *lengths;     /* [G n,V-1] rest edges */
     double *mass;        /* [G n] of a strand [kg] */
     hg_tensor *weigh;    /* the same, where the task computes */
@@ -125,7 +128,7 @@ typedef struct {
  * body. */
 typedef struct {
     int64_t frames, strands, body_vertices;
-    int32_t *groom;   /* [B] of the subset's; frames of one groom stand together */
+    int32_t *groom;   /* [3,B] of the subset's; frames of one groom stand together */
     float *inputs;    /* [3,B,frame_inputs] normalised */
     double *material; /* [B,materials] */
     /* host: */
@@ -136,6 +139,41 @@ typedef struct {
     float *shape;     /* [3,B,HG_SHAPES] */
     float *transform; /* [3,B,J,12] */
 } hg_hair_batch;
+
+/* ---- network ------------------------------------------------------------------------------------------------ */
+
+/* What is the same for strands in every frame: made of a subset's features once a step, or once a drape. */
+typedef struct {
+    int64_t grooms, strands; /* strands of each */
+    hg_tensor *rows;         /* [grooms strands,..]; of a network of grooms [grooms,..] */
+    const int32_t *texel;    /* [grooms strands] the subset's, or NULL */
+} hg_hair_part;
+
+/* A family of networks, in one file each: what an architecture is told of grooms, and how strands come out of it. It is found from
+ * what the architecture declares; nothing else in here knows which one it serves. */
+typedef struct {
+    bool of_grooms;   /* what it is told beside the frame belongs to a groom, not to each of its strands */
+    int64_t together; /* strands of a frame that are predicted at a time, so that they stay in the cache; 0: all */
+    const char *encoder_label; /* what is shown while the encoder learns */
+    /* Keeps of a groom that was loaded the strands that the network can draw. NULL: it draws all. */
+    hg_status (*choose)(const hg_hair_task *task, hg_hair_style *style);
+    /* Once the grooms are there: task->encoder as it begins, strand_inputs, and the scale of what the encoder takes. */
+    hg_status (*make_encoder)(hg_hair_task *task);
+    hg_status (*train_encoder)(hg_hair_task *task, const hg_progress *progress);
+    hg_status (*encode)(hg_hair_task *task, hg_hair_style *style); /* fills its raw features */
+    hg_status (*name_features)(hg_hair_task *task); /* the first strand_inputs, with their normalisation */
+    hg_status (*check_model)(const hg_hair_task *task, const hg_model *model);
+    hg_tensor *(*part)(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *features); /* rows of hg_hair_part */
+    /* Rows of a batch of any grooms at once: row r of inputs [R,frame_inputs] shows groom[r] -> [R,..], which `outputs` takes
+     * pieces of. NULL: nothing is gained by it, and `outputs` takes pieces of the inputs. */
+    hg_tensor *(*images)(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                         hg_tensor *inputs);
+    /* `rows` rows from `first` on, all of the one groom -> [rows,strands,outputs]. */
+    hg_tensor *(*outputs)(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
+                          int64_t first, int64_t rows, int32_t groom);
+} hg_hair_network;
+
+extern const hg_hair_network hg_hair_network_strands; /* a row of numbers for each strand */
 
 /* ---- task --------------------------------------------------------------------------------------------------- */
 
@@ -157,6 +195,7 @@ struct hg_hair_task {
     int64_t training_frames;
     double rate, spread[HG_SHAPES];
 
+    const hg_hair_network *network;
     hg_poser *poser;
     int64_t body_vertices; /* kept by the poser */
     float *posed_body;     /* [body_vertices,3] scratch */
@@ -194,23 +233,24 @@ struct hg_hair_task {
 };
 
 hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
-hg_status hg_hair_strands_create(hg_hair_task *task, const hg_progress *progress);
+hg_status hg_hair_encoder_create(hg_hair_task *task, const hg_progress *progress); /* and what belongs to each groom */
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file);
 hg_status hg_hair_encoder_keep(const hg_hair_task *task); /* in the run folder, when it was trained now */
 hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file);
-hg_status hg_hair_strands_encode(hg_hair_task *task); /* strand features of all grooms from the encoder as it is */
+hg_status hg_hair_encode(hg_hair_task *task); /* raw features of all grooms from the encoder as it is */
 hg_status hg_hair_style_strands(hg_hair_task *task,
                                 hg_hair_style *style); /* makes and fills what belongs to its strands */
 void hg_hair_style_destroy(hg_hair_style *style);
 uint64_t hg_hair_grooms_hash(const hg_hair_task *task); /* of those trained on; of a single one its own */
 hg_status hg_hair_features_create(hg_hair_task *task);  /* names and normalisation; once the strands are there */
+hg_status hg_hair_add_feature(hg_hair_task *task, char *name /* taken over */, double mean, double deviation);
 hg_status hg_hair_features_tensors(hg_hair_task *task);
 void hg_hair_normalise_frame(const hg_hair_task *task, const float *raw, float *out);
 
 /* TRAINING: of all grooms trained on. EVALUATION: of the current one. */
 hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_hair_purpose purpose, int64_t epoch);
 void hg_hair_subset_destroy(hg_hair_subset *subset);
-hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task);
+hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task); /* and its rest strands */
 hg_status hg_hair_numbers_create(hg_hair_numbers *numbers, hg_hair_subset *subset, const hg_hair_task *task);
 void hg_hair_numbers_destroy(hg_hair_numbers *numbers);
 double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight); /* J; N */
@@ -236,19 +276,25 @@ hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const do
 void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx,
                            hg_report *report); /* of the step, read when it is logged */
 
-/* Strands [n,V,3] of `frames` frames from the network. part: hg_model's strand_part of the strands. */
-hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,
-                           hg_tensor *rotation, hg_tensor *position);
-/* One frame of n strands without gradient, some strands after others, so that activations stay in the cache: part
- * [n,width], inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3] -> x [n,V,3]. Memory does not grow with n. */
-hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, const float *inputs,
+hg_status hg_hair_network_find(hg_hair_task *task);   /* the family of the config's model */
+hg_status hg_hair_network_create(hg_hair_task *task); /* the model and what its outputs mean */
+hg_hair_part hg_hair_part_of(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset); /* of the step */
+hg_status hg_hair_part_keep(hg_hair_part *part, const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset);
+void hg_hair_part_free(hg_hair_part *part); /* one that was kept */
+/* Strands [R,S,V,3] of rows of inputs [R,frame_inputs]: row r shows the part's groom groom[r] (NULL: its only one), whose rest
+ * strands are in rest [grooms S,V,3]; rotation [R,S,4], position [R,S,3]. Rows of one groom best stand together. */
+hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                           hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position);
+/* One frame of the strands of one groom without gradient: inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3]
+ * -> x [n,V,3]. */
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);
 /* Adds the vertices of strands x [S,V,3] that are deeper than 0.1 mm in the body, roots left out. triangle [S,V] keeps
  * guesses from call to call, at first -1; the others [S,V,3] are scratch. */
 hg_status hg_hair_count_inside(hg_ctx *host, hg_body_refit *refit, int64_t S, int64_t V, const float *x,
                                int32_t *triangle, float *contact_point, float *contact_normal, int64_t *inside);
 /* unweighted: [terms] f64, joule of the batch, gravity counted from the roots; of the step. */
-hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
-                          hg_hair_subset *subset, hg_tensor **unweighted);
+hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch, hg_hair_subset *subset,
+                          hg_tensor **unweighted);
 
 #endif

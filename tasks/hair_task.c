@@ -1,5 +1,5 @@
-/* hair_task: a Neuralocks training run from one config: what is made once, the loss of a step, the validation, and
- * what a checkpoint adds. See docs/neuralocks.md for the features. */
+/* hair_task: a training run from one config, of any family of networks: what is made once, the loss of a step, the
+ * validation, and what a checkpoint adds. docs/neuralocks.md has the features. */
 #include "tasks/hair.h"
 #include "tasks/root_gravity.kernel.h"
 
@@ -7,140 +7,6 @@
 #include <math.h>
 #include <string.h>
 #include <unistd.h>
-
-/* ---- network ------------------------------------------------------------------------------------------------ */
-
-/* What an output is.
- *   vertices     displacements, as published
- *   edges        displacements of edges, so that a vertex moves by the sum of the edges before it
- *   directions   changes of the unit directions of edges, which keep their lengths (hg_turn_edges)
- * The first two are one constant matrix [outputs,(V-1)*3] after the network. With two vertices pinned the first edge stays
- * as it is. */
-static hg_status make_output(hg_hair_task *task)
-{
-    const hg_config *config = task->config;
-    const int64_t V = task->groom->vertices, columns = (V - 1) * 3;
-    const char *output = hg_config_text(config, "model.output");
-    task->pinned = (int)hg_config_integer(config, "model.pinned");
-    if (task->pinned >= V)
-        return hg_fail(HG_INVALID, "%s:%d: model.pinned: %d of %lld vertices are pinned: nothing is left to move",
-                       hg_config_name(config), hg_config_line(config, "model.pinned"), task->pinned, (long long)V);
-    task->outputs = (int)(V - task->pinned) * 3;
-    task->directions = !strcmp(output, "directions");
-    task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
-    if (task->directions) return HG_OK;
-    task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
-    if (!task->output_map) return HG_MEMORY;
-    task->output_map->name = "output_map";
-    float *map = hg_alloc((size_t)(task->outputs * columns), sizeof *map);
-    for (int64_t i = 0; map && i < task->outputs; i++)
-        for (int64_t column = i + (task->pinned - 1) * 3; column < columns; column += 3) {
-            map[i * columns + column] = (float)task->output_scale;
-            if (!strcmp(output, "vertices")) break;
-        }
-    const hg_status status = map ? hg_tensor_write(task->output_map, map) : HG_MEMORY;
-    hg_free(map);
-    return status;
-}
-
-static hg_status make_model(hg_hair_task *task)
-{
-    HG_TRY(make_output(task));
-    hg_model_spec spec = { .inputs = task->inputs,
-                           .strand_inputs = task->strand_inputs,
-                           .outputs = task->outputs,
-                           .width = (int)hg_config_integer(task->config, "model.width"),
-                           .depth = (int)hg_config_integer(task->config, "model.depth"),
-                           .latent = task->latent,
-                           .seed = task->seed };
-    HG_TRY(hg_activation_parse(hg_config_text(task->config, "model.activation"), &spec.activation));
-    HG_TRY(hg_model_create(&task->model, task->ctx, hg_config_text(task->config, "model.kind"), &spec));
-    if (!task->model->strand_part)
-        return hg_fail(HG_INVALID, "%s:%d: model.kind: a %s is not a network per strand; use neuralocks",
-                       hg_config_name(task->config), hg_config_line(task->config, "model.kind"), task->model->kind);
-    return HG_OK;
-}
-
-/* [..,S,outputs] and rest [S,V,3] -> [..,S,V-1,3] */
-static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
-{
-    if (!outputs) return NULL;
-    const int64_t V = task->groom->vertices;
-    const bool framed = outputs->rank == 3;
-    const int64_t edges = task->directions ? V - task->pinned : V - 1;
-    hg_tensor *d =
-        task->directions ? hg_scale(ctx, outputs, task->output_scale, 0) : hg_matmul(ctx, outputs, task->output_map);
-    d = framed ? hg_reshape(ctx, d, 4, (int64_t[]){ outputs->shape[0], outputs->shape[1], edges, 3 })
-               : hg_reshape(ctx, d, 3, (int64_t[]){ -1, edges, 3 });
-    return task->directions ? hg_turn_edges(ctx, d, rest) : d;
-}
-
-hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *inputs, hg_tensor *rest,
-                           hg_tensor *rotation, hg_tensor *position)
-{
-    hg_tensor *in[3] = { NULL, inputs, part };
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
-    return hg_place(ctx, d, rest, rotation, position);
-}
-
-hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, const float *inputs,
-                                hg_tensor *rest, const float *rotation, const float *position, float *x)
-{
-    enum { STRANDS = 4096 };
-    const int64_t n = part->shape[0], V = rest->shape[1], F = task->layout.frame_inputs;
-    const hg_step_mark mark = hg_step_set_mark(ctx);
-    hg_no_grad_begin(ctx);
-    for (int64_t first = 0; first < n && hg_ctx_status(ctx) == HG_OK; first += STRANDS) {
-        const int64_t count = n - first < STRANDS ? n - first : STRANDS;
-        hg_tensor *placed = hg_hair_predict(
-            task, ctx, hg_tensor_rows(ctx, part, first, count),
-            hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, F }, inputs), hg_tensor_rows(ctx, rest, first, count),
-            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
-            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
-        if (placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK)
-            hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
-        hg_step_rewind(ctx, mark);
-    }
-    hg_no_grad_end(ctx);
-    return hg_ctx_status(ctx);
-}
-
-hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
-{
-    const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
-    hg_tensor *in = raw, *rest = NULL;
-    if (task->directions) { /* [strand | rest | frame] */
-        in = hg_concat(ctx, 1, 2,
-                       (hg_tensor *[]){ hg_slice(ctx, raw, 1, 0, strand),
-                                        hg_slice(ctx, raw, 1, strand + task->rest_columns, frame) });
-        rest = hg_reshape(ctx, hg_slice(ctx, raw, 1, strand, task->rest_columns), 3, (int64_t[]){ -1, edges, 3 });
-        rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
-    }
-    in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
-    return hg_reshape(ctx, d, 2, (int64_t[]){ -1, edges * 3 });
-}
-
-/* Columns first.. of (raw - mean) / deviation. */
-static hg_tensor *normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count)
-{
-    return hg_mul(ctx, hg_sub(ctx, raw, hg_slice(ctx, task->mean_tensor, 0, first, count)),
-                  hg_slice(ctx, task->inverse_deviation, 0, first, count));
-}
-
-hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
-{
-    return task->model->strand_part(task->model->self, ctx, normalised(task, ctx, raw, 0, task->strand_inputs));
-}
-
-hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
-{
-    const int64_t edges = task->groom->vertices - 1;
-    hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
-    if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
-    return d ? hg_reshape(ctx, d, 3, (int64_t[]){ d->shape[0], d->shape[1], edges * 3 }) : NULL;
-}
 
 /* ---- loss --------------------------------------------------------------------------------------------------- */
 
@@ -177,36 +43,6 @@ static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hai
     return value;
 }
 
-/* A batch's tensors, as the network takes them. */
-typedef struct {
-    hg_tensor *part;                         /* strand_part of the subset [G S,H] */
-    hg_tensor *inputs, *rotation, *position; /* [3B,..] */
-} batch_tensors;
-
-/* Strands of the rows from `first` on (row: time * B + frame), a call for each run of rows with the same groom. */
-static hg_tensor *predict_rows(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
-                               const hg_hair_subset *subset, const batch_tensors *in, int64_t first, int64_t rows)
-{
-    const int64_t B = batch->frames, S = batch->strands;
-    hg_tensor *pieces[HG_OP_INPUTS];
-    int n = 0;
-    for (int64_t row = first, end; row < first + rows; row = end) {
-        const int32_t groom = batch->groom[row % B];
-        for (end = row + 1; end < first + rows && batch->groom[end % B] == groom; end++) {
-        }
-        hg_tensor *part = subset->grooms == 1 ? in->part : hg_slice(ctx, in->part, 0, groom * S, S);
-        hg_tensor *rest = subset->grooms == 1 ? subset->rest : hg_tensor_rows(ctx, subset->rest, groom * S, S);
-        if (n == HG_OP_INPUTS) {
-            pieces[0] = hg_concat(ctx, 0, n, pieces);
-            n = 1;
-        }
-        pieces[n++] = hg_hair_predict(task, ctx, part, hg_tensor_rows(ctx, in->inputs, row, end - row), rest,
-                                      hg_tensor_rows(ctx, in->rotation, row, end - row),
-                                      hg_tensor_rows(ctx, in->position, row, end - row));
-    }
-    return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
-}
-
 /* Roots [3B,S,..] and bodies at t [B,N,3]: from the batch, or made here from what moves them. */
 static hg_status bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
                                   const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
@@ -233,21 +69,23 @@ static hg_status bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const h
     return hg_ctx_status(ctx);
 }
 
-hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, const hg_hair_batch *batch,
-                          hg_hair_subset *subset, hg_tensor **unweighted)
+hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch, hg_hair_subset *subset,
+                          hg_tensor **unweighted)
 {
     const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
     hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
     hg_tensor *rotation, *position, *body;
     if (!inputs || bodies_and_roots(task, ctx, batch, subset, &rotation, &position, &body) != HG_OK) return NULL;
 
-    /* What belongs to the strands is the same at the three times. */
-    const batch_tensors in = { model->strand_part(model->self, ctx, subset->features), inputs, rotation, position };
+    /* What belongs to the strands, or to their groom, is the same at the three times. */
+    const hg_hair_part part = hg_hair_part_of(task, ctx, subset);
     hg_no_grad_begin(ctx);
     hg_tensor *past = hg_tensor_make(ctx, HG_F32, 4, (int64_t[]){ 2 * B, S, task->groom->vertices, 3 });
     const hg_step_mark mark = hg_step_set_mark(ctx);
     const int recorded = hg_tape_count(ctx);
-    const hg_tensor *made = predict_rows(task, ctx, batch, subset, &in, 0, 2 * B);
+    const hg_tensor *made =
+        hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 0, 2 * B), subset->rest,
+                        hg_tensor_rows(ctx, rotation, 0, 2 * B), hg_tensor_rows(ctx, position, 0, 2 * B));
     if (!made || !past || hg_tensor_copy(past, made) != HG_OK) past = NULL;
     if (hg_tape_count(ctx) == recorded) hg_step_rewind(ctx, mark); /* nothing else of it is needed again */
     hg_tensor *previous = past ? hg_tensor_rows(ctx, past, B, B) : NULL;
@@ -257,7 +95,8 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, hg_model *model, cons
 
     hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B),
               *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
-    hg_tensor *x = predict_rows(task, ctx, batch, subset, &in, 2 * B, B);
+    hg_tensor *x = hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 2 * B, B), subset->rest,
+                                   now_rotation, now_position);
     hg_frame frame = { .groom = batch->groom,
                        .root_rotation = now_rotation,
                        .root_position = now_position,
@@ -277,8 +116,9 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
 {
     hg_hair_task *task = self;
     const hg_hair_batch *batch = bytes;
+    (void)model; /* the task's own */
     if (task->compute != HG_F32 && hg_ctx_compute(ctx, task->compute) != HG_OK) return NULL;
-    hg_tensor *joule, *value = hg_hair_energy(task, ctx, model, batch, &task->subset, &joule);
+    hg_tensor *joule, *value = hg_hair_energy(task, ctx, batch, &task->subset, &joule);
     const double per_strand = 1 / (double)(batch->frames * batch->strands);
     for (int i = 0; value && i < task->terms.n; i++) {
         const double weight = task->terms.term[i].weight;
@@ -296,6 +136,7 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
 static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *report)
 {
     hg_hair_task *task = self;
+    (void)model;
     const int held_out = task->n_clips[1] > 0;
     int64_t frames = 0;
     for (int i = 0; i < task->n_clips[held_out]; i++) frames += task->clips[held_out][i].motion->frames;
@@ -318,7 +159,7 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, (int32_t)(k % task->n_grooms),
                                     &task->clips[held_out][clip], frame, shape, material);
         if (status != HG_OK) break;
-        const hg_tensor *value = hg_hair_energy(task, ctx, model, batch, &task->subset, &joule);
+        const hg_tensor *value = hg_hair_energy(task, ctx, batch, &task->subset, &joule);
         status = value ? hg_tensor_read(joule, unweighted) : hg_ctx_status(ctx);
         if (status != HG_OK || !value) break;
         total += hg_tensor_item(value, 0) / (double)n;
@@ -372,7 +213,7 @@ static hg_status load_inputs(hg_hair_task *task, hg_h5 *file)
 {
     HG_TRY(hg_hair_encoder_load(task, file));
     HG_TRY(load_features(task, file));
-    HG_TRY(hg_hair_strands_encode(task));
+    HG_TRY(hg_hair_encode(task));
     HG_TRY(hg_hair_features_tensors(task));
     if (task->subset.n) HG_TRY(hg_hair_subset_features(&task->subset, task));
     if (task->evaluation.n) HG_TRY(hg_hair_subset_features(&task->evaluation, task));
@@ -524,7 +365,7 @@ static hg_status first_call(hg_hair_task *task)
     hg_step_reset(task->ctx);
     hg_status status = hg_hair_sample(task, task->ctx, hg_ctx_seed(task->ctx), 0, batch);
     if (status == HG_OK) {
-        hg_hair_energy(task, task->ctx, task->model, batch, &task->subset, &joule);
+        hg_hair_energy(task, task->ctx, batch, &task->subset, &joule);
         status = hg_ctx_status(task->ctx);
     }
     hg_step_reset(task->ctx);
@@ -540,12 +381,13 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(hg_hair_terms_create(&task->terms, task->config));
     HG_TRY(name_terms(task));
     HG_TRY(hg_hair_materials_create(task));
+    HG_TRY(hg_hair_network_find(task));
     HG_TRY(hg_hair_world_create(task, progress));
-    HG_TRY(hg_hair_strands_create(task, progress));
+    HG_TRY(hg_hair_encoder_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
     task->reference = hg_hair_reference_energy(task, &task->clip_vertex);
     task->clip_vertex *= hg_config_number(task->config, "training.clip_vertex");
-    HG_TRY(make_model(task));
+    HG_TRY(hg_hair_network_create(task));
     HG_TRY(hg_hair_whole_model(task));
     hg_progress_report(progress, 0, "physics");
     HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));

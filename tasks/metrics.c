@@ -30,7 +30,7 @@ typedef struct {
     const double *shape;
     int64_t frames, tips;
     hg_hair_track track;
-    hg_tensor *part;
+    hg_hair_part part;
     hg_ctx *host; /* for what is measured of the strands here */
     hg_body_refit *refit;
     float *rest, *rotation, *position, *body; /* [S,V,3], [S,4], [S,3], [N,3] */
@@ -57,7 +57,7 @@ static void evaluation_free(evaluation *e)
     side_free(&e->net);
     side_free(&e->posed);
     hg_hair_track_destroy(&e->track);
-    hg_tensor_destroy(e->part);
+    hg_hair_part_free(&e->part);
     hg_body_refit_destroy(e->refit);
     hg_free(e->rest);
     hg_free(e->rotation);
@@ -112,13 +112,7 @@ static hg_status prepare(evaluation *e)
         return HG_MEMORY;
     HG_TRY(hg_tensor_read(task->evaluation.rest, e->rest));
     HG_TRY(hg_body_refit_create(&e->refit, task->tree, HG_F32));
-    hg_step_reset(e->ctx);
-    hg_no_grad_begin(e->ctx);
-    hg_tensor *part = task->model->strand_part(task->model->self, e->ctx, task->evaluation.features);
-    hg_no_grad_end(e->ctx);
-    HG_TRY(hg_ctx_status(e->ctx));
-    e->part = hg_tensor_create(e->ctx, HG_F32, part->rank, part->shape);
-    return e->part ? hg_tensor_copy(e->part, part) : HG_MEMORY;
+    return hg_hair_part_keep(&e->part, task, e->ctx, &task->evaluation);
 }
 
 /* ---- one frame ---------------------------------------------------------------------------------------------- */
@@ -140,7 +134,7 @@ static hg_status strands_of(evaluation *e, int64_t frame)
                         .dt = 1 / task->rate };
     hg_no_grad_begin(e->ctx);
     const hg_tensor *x =
-        hg_hair_predict(task, e->ctx, e->part,
+        hg_hair_predict(task, e->ctx, &e->part, NULL,
                         hg_tensor_from(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
                         subset->rest, e->at.root_rotation, e->at.root_position);
     hg_no_grad_end(e->ctx);

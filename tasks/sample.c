@@ -24,7 +24,7 @@ size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t str
 {
     int64_t floats[PARTS];
     size_t bytes = sizeof(hg_hair_batch) + 64 +
-                   (size_t)frames * (sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 2 * 64;
+                   (size_t)frames * (3 * sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 2 * 64;
     measure(task, frames, strands, floats);
     for (int i = 0; i < PARTS; i++) bytes += (size_t)floats[i] * sizeof(float) + 64;
     return bytes;
@@ -54,7 +54,7 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
                               .body = part[BODY],
                               .shape = part[SHAPE],
                               .transform = part[TRANSFORM] };
-    batch->groom = (int32_t *)(void *)take(&at, frames);
+    batch->groom = (int32_t *)(void *)take(&at, 3 * frames);
     batch->material = (double *)(void *)take(&at, 2 * frames * task->n_materials);
     return batch;
 }
@@ -85,7 +85,7 @@ hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *bat
                              int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material)
 {
-    batch->groom[b] = groom;
+    for (int64_t time = 0; time < 3; time++) batch->groom[time * batch->frames + b] = groom;
     for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
     for (int64_t time = 0; time < 3; time++) {
         const int64_t at = frame - 2 + time, slot = time * batch->frames + b;

@@ -225,11 +225,9 @@ hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_h
     hg_status status = draw(subset, task, purpose, epoch);
     if (status == HG_OK) {
         const int64_t n = subset->grooms * subset->n;
-        subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, V, 3 });
-        subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ n, task->strand_inputs });
         subset->lengths = hg_alloc((size_t)(n * (V - 1)), sizeof(double));
         subset->mass = hg_alloc((size_t)n, sizeof(double));
-        if (!subset->rest || !subset->features || !subset->lengths || !subset->mass) status = HG_MEMORY;
+        if (!subset->lengths || !subset->mass) status = HG_MEMORY;
     }
     if (status == HG_OK) status = hg_hair_subset_features(subset, task);
     if (status == HG_OK) status = make_physics(subset, task);
@@ -238,20 +236,37 @@ hg_status hg_hair_subset_create(hg_hair_subset *subset, hg_hair_task *task, hg_h
     return status;
 }
 
-/* Rest strands and normalised features: again when a checkpoint brought another encoder. */
+static hg_status make_rows(hg_hair_subset *subset, const hg_hair_task *task)
+{
+    const int64_t n = subset->grooms * subset->n, rows = task->network->of_grooms ? subset->grooms : n;
+    subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, task->groom->vertices, 3 });
+    subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ rows, task->strand_inputs });
+    if (!subset->rest || !subset->features) return HG_MEMORY;
+    if (!task->styles[subset->first].texel) return HG_OK;
+    subset->texel = hg_alloc((size_t)n, sizeof *subset->texel);
+    if (!subset->texel) return HG_MEMORY;
+    for (int64_t i = 0; i < n; i++)
+        subset->texel[i] = task->styles[subset->first + i / subset->n].texel[subset->strand[i]];
+    return HG_OK;
+}
+
+/* Rest strands and normalised features: the latter again when a checkpoint brought another encoder. */
 hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *task)
 {
     const int64_t V = task->groom->vertices;
     const int width = task->strand_inputs;
+    const bool of_grooms = task->network->of_grooms;
+    if (!subset->rest) HG_TRY(make_rows(subset, task));
     float *rest = hg_alloc(hg_tensor_bytes(subset->rest) + 1, 1),
           *features = hg_alloc(hg_tensor_bytes(subset->features) + 1, 1);
-    for (int64_t i = 0; rest && features && i < subset->grooms * subset->n; i++) {
-        const hg_hair_style *style = &task->styles[subset->first + i / subset->n];
-        const int64_t s = subset->strand[i];
-        memcpy(rest + i * V * 3, style->groom->points + s * V * 3, (size_t)V * 3 * sizeof *rest);
+    for (int64_t i = 0; rest && i < subset->grooms * subset->n; i++)
+        memcpy(rest + i * V * 3, task->styles[subset->first + i / subset->n].groom->points + subset->strand[i] * V * 3,
+               (size_t)V * 3 * sizeof *rest);
+    for (int64_t i = 0; features && i < subset->features->shape[0]; i++) {
+        const hg_hair_style *style = &task->styles[subset->first + (of_grooms ? i : i / subset->n)];
+        const float *raw = style->raw + (of_grooms ? 0 : subset->strand[i]) * width;
         for (int k = 0; k < width; k++)
-            features[i * width + k] =
-                (float)(((double)style->strand_raw[s * width + k] - task->mean[k]) / task->deviation[k]);
+            features[i * width + k] = (float)(((double)raw[k] - task->mean[k]) / task->deviation[k]);
     }
     hg_status status = rest && features ? hg_tensor_write(subset->rest, rest) : HG_MEMORY;
     if (status == HG_OK) status = hg_tensor_write(subset->features, features);
@@ -270,6 +285,7 @@ void hg_hair_subset_destroy(hg_hair_subset *subset)
     hg_free(subset->lengths);
     hg_free(subset->mass);
     hg_free(subset->strand);
+    hg_free(subset->texel);
     *subset = (hg_hair_subset){ 0 };
 }
 

@@ -83,7 +83,8 @@ static hg_status add_style(hg_hair_task *task, int i, const char *what, bool in_
     style->name = hg_strdup(what);
     if (!style->name) return HG_MEMORY;
     HG_TRY(make_groom(task, &style->groom, what, in_scene));
-    return check_groom(task, style->groom);
+    HG_TRY(check_groom(task, style->groom));
+    return task->network->choose ? task->network->choose(task, style) : HG_OK;
 }
 
 static hg_status load_grooms(hg_hair_task *task)
@@ -116,8 +117,9 @@ void hg_hair_style_destroy(hg_hair_style *style)
     hg_free(style->name);
     hg_free(style->body_distance);
     hg_free(style->scalp_distance);
-    hg_free(style->strand_raw);
     hg_free(style->lock);
+    hg_free(style->raw);
+    hg_free(style->texel);
     *style = (hg_hair_style){ 0 };
 }
 

@@ -77,7 +77,7 @@ static double energy(trial *s, int n, const int32_t *groom, const int64_t *frame
         assert_int_equal(hg_hair_batch_fill(task, s->ctx, batch, &task->subset, b, groom[b], &task->clips[0][0],
                                             frame[b], shape, NULL),
                          HG_OK);
-    const hg_tensor *value = hg_hair_energy(task, s->ctx, task->model, batch, &task->subset, &unweighted);
+    const hg_tensor *value = hg_hair_energy(task, s->ctx, batch, &task->subset, &unweighted);
     if (!value) fail_msg("%s", hg_message());
     const double joule = hg_tensor_item(value, 0) * (double)(n * task->subset.n) * task->reference;
     hg_step_reset(s->ctx);

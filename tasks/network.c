@@ -1,0 +1,198 @@
+/* network: the model of a config, of whatever family; what an output of it is; and strands from it. */
+#include "tasks/hair.h"
+
+#include <string.h>
+
+hg_status hg_hair_network_find(hg_hair_task *task)
+{
+    const hg_architecture *architecture;
+    HG_TRY(hg_architecture_find(&architecture, hg_config_text(task->config, "model.kind")));
+    task->network = &hg_hair_network_strands;
+    return HG_OK;
+}
+
+/* ---- model -------------------------------------------------------------------------------------------------- */
+
+/* What an output is.
+ *   vertices     displacements, as published
+ *   edges        displacements of edges, so that a vertex moves by the sum of the edges before it
+ *   directions   changes of the unit directions of edges, which keep their lengths (hg_turn_edges)
+ * The first two are one constant matrix [outputs,(V-1)*3] after the network. With two vertices pinned the first edge stays
+ * as it is. */
+static hg_status make_output(hg_hair_task *task)
+{
+    const hg_config *config = task->config;
+    const int64_t V = task->groom->vertices, columns = (V - 1) * 3;
+    const char *output = hg_config_text(config, "model.output");
+    task->pinned = (int)hg_config_integer(config, "model.pinned");
+    if (task->pinned >= V)
+        return hg_fail(HG_INVALID, "%s:%d: model.pinned: %d of %lld vertices are pinned: nothing is left to move",
+                       hg_config_name(config), hg_config_line(config, "model.pinned"), task->pinned, (long long)V);
+    task->outputs = (int)(V - task->pinned) * 3;
+    task->directions = !strcmp(output, "directions");
+    task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
+    if (task->directions) return HG_OK;
+    task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
+    if (!task->output_map) return HG_MEMORY;
+    task->output_map->name = "output_map";
+    float *map = hg_alloc((size_t)(task->outputs * columns), sizeof *map);
+    for (int64_t i = 0; map && i < task->outputs; i++)
+        for (int64_t column = i + (task->pinned - 1) * 3; column < columns; column += 3) {
+            map[i * columns + column] = (float)task->output_scale;
+            if (!strcmp(output, "vertices")) break;
+        }
+    const hg_status status = map ? hg_tensor_write(task->output_map, map) : HG_MEMORY;
+    hg_free(map);
+    return status;
+}
+
+hg_status hg_hair_network_create(hg_hair_task *task)
+{
+    HG_TRY(make_output(task));
+    hg_model_spec spec = { .inputs = task->inputs,
+                           .strand_inputs = task->strand_inputs,
+                           .outputs = task->outputs,
+                           .width = (int)hg_config_integer(task->config, "model.width"),
+                           .depth = (int)hg_config_integer(task->config, "model.depth"),
+                           .latent = task->latent,
+                           .seed = task->seed };
+    HG_TRY(hg_activation_parse(hg_config_text(task->config, "model.activation"), &spec.activation));
+    HG_TRY(hg_model_create(&task->model, task->ctx, hg_config_text(task->config, "model.kind"), &spec));
+    return task->network->check_model(task, task->model);
+}
+
+/* ---- strands ------------------------------------------------------------------------------------------------ */
+
+/* [..,S,outputs] and rest [S,V,3] -> [..,S,V-1,3] */
+static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
+{
+    if (!outputs) return NULL;
+    const int64_t V = task->groom->vertices;
+    const bool framed = outputs->rank == 3;
+    const int64_t edges = task->directions ? V - task->pinned : V - 1;
+    hg_tensor *d =
+        task->directions ? hg_scale(ctx, outputs, task->output_scale, 0) : hg_matmul(ctx, outputs, task->output_map);
+    d = framed ? hg_reshape(ctx, d, 4, (int64_t[]){ outputs->shape[0], outputs->shape[1], edges, 3 })
+               : hg_reshape(ctx, d, 3, (int64_t[]){ -1, edges, 3 });
+    return task->directions ? hg_turn_edges(ctx, d, rest) : d;
+}
+
+hg_hair_part hg_hair_part_of(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
+{
+    return (hg_hair_part){ .grooms = subset->grooms,
+                           .strands = subset->n,
+                           .rows = task->network->part(task, ctx, subset->features),
+                           .texel = subset->texel };
+}
+
+hg_status hg_hair_part_keep(hg_hair_part *part, const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
+{
+    hg_step_reset(ctx);
+    hg_no_grad_begin(ctx);
+    *part = hg_hair_part_of(task, ctx, subset);
+    hg_no_grad_end(ctx);
+    const hg_tensor *made = part->rows;
+    part->rows = NULL;
+    HG_TRY(hg_ctx_status(ctx));
+    part->rows = hg_tensor_create(ctx, HG_F32, made->rank, made->shape);
+    return part->rows ? hg_tensor_copy(part->rows, made) : HG_MEMORY;
+}
+
+void hg_hair_part_free(hg_hair_part *part)
+{
+    hg_tensor_destroy(part->rows);
+    *part = (hg_hair_part){ 0 };
+}
+
+hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                           hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position)
+{
+    if (!inputs || !part->rows || !rest || !rotation || !position) return NULL;
+    const hg_hair_network *network = task->network;
+    const int64_t R = inputs->shape[0], S = part->strands;
+    hg_tensor *whole = network->images ? network->images(task, ctx, part, groom, inputs) : inputs;
+    hg_tensor *pieces[HG_OP_INPUTS];
+    int n = 0;
+    for (int64_t row = 0, end; row < R; row = end) {
+        const int32_t g = groom ? groom[row] : 0;
+        for (end = row + 1; end < R && (!groom || groom[end] == g); end++) {
+        }
+        hg_tensor *out = network->outputs(task, ctx, part, whole, row, end - row, g);
+        hg_tensor *of = part->grooms == 1 ? rest : hg_tensor_rows(ctx, rest, g * S, S);
+        if (n == HG_OP_INPUTS) {
+            pieces[0] = hg_concat(ctx, 0, n, pieces);
+            n = 1;
+        }
+        pieces[n++] =
+            hg_place(ctx, displacements(task, ctx, out, of), of, hg_tensor_rows(ctx, rotation, row, end - row),
+                     hg_tensor_rows(ctx, position, row, end - row));
+    }
+    return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
+}
+
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
+                                hg_tensor *rest, const float *rotation, const float *position, float *x)
+{
+    const hg_hair_network *network = task->network;
+    const int64_t n = part->strands, V = rest->shape[1], F = task->layout.frame_inputs;
+    const int64_t most = network->together ? network->together : n;
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    hg_no_grad_begin(ctx);
+    for (int64_t first = 0; first < n && hg_ctx_status(ctx) == HG_OK; first += most) {
+        const int64_t count = n - first < most ? n - first : most;
+        const hg_hair_part some = { .grooms = 1,
+                                    .strands = count,
+                                    .rows =
+                                        network->of_grooms ? part->rows : hg_tensor_rows(ctx, part->rows, first, count),
+                                    .texel = part->texel ? part->texel + first : NULL };
+        hg_tensor *placed =
+            hg_hair_predict(task, ctx, &some, NULL, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, F }, inputs),
+                            hg_tensor_rows(ctx, rest, first, count),
+                            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
+                            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
+        if (placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK)
+            hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
+        hg_step_rewind(ctx, mark);
+    }
+    hg_no_grad_end(ctx);
+    return hg_ctx_status(ctx);
+}
+
+/* ---- formulas, for export ----------------------------------------------------------------------------------- */
+
+hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
+    hg_tensor *in = raw, *rest = NULL;
+    if (task->directions) { /* [strand | rest | frame] */
+        in = hg_concat(ctx, 1, 2,
+                       (hg_tensor *[]){ hg_slice(ctx, raw, 1, 0, strand),
+                                        hg_slice(ctx, raw, 1, strand + task->rest_columns, frame) });
+        rest = hg_reshape(ctx, hg_slice(ctx, raw, 1, strand, task->rest_columns), 3, (int64_t[]){ -1, edges, 3 });
+        rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
+    }
+    in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
+    return hg_reshape(ctx, d, 2, (int64_t[]){ -1, edges * 3 });
+}
+
+/* Columns first.. of (raw - mean) / deviation. */
+static hg_tensor *normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count)
+{
+    return hg_mul(ctx, hg_sub(ctx, raw, hg_slice(ctx, task->mean_tensor, 0, first, count)),
+                  hg_slice(ctx, task->inverse_deviation, 0, first, count));
+}
+
+hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    return task->model->strand_part(task->model->self, ctx, normalised(task, ctx, raw, 0, task->strand_inputs));
+}
+
+hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
+{
+    const int64_t edges = task->groom->vertices - 1;
+    hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
+    if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
+    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
+    return d ? hg_reshape(ctx, d, 3, (int64_t[]){ d->shape[0], d->shape[1], edges * 3 }) : NULL;
+}
