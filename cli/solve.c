@@ -75,8 +75,10 @@ static void print_solution(const hg_hair_solution *s)
     for (int i = 0; i < m->n_terms; i++)
         printf("%-20s %12.4f %12.4f\n", m->term[i], 1e9 * m->term_energy[i], 1e9 * m->term_posed[i]);
     printf("%-20s %12.4f %12.4f\n", "sum", 1e9 * m->energy, 1e9 * m->energy_posed);
-    printf("length error %.3f %%, turned %.2f degrees, inside %.3f %% (posed %.3f %%)\n", m->length_error,
-           m->orientation, m->inside, m->inside_posed);
+    printf("length error %.3f %%, turned %.2f degrees, tips moved by %.1f %% of the length, %.3f of the curl, inside "
+           "%.3f %% (posed "
+           "%.3f %%)\n",
+           m->length_error, m->orientation, m->tip_moved, m->curl, m->inside, m->inside_posed);
     printf("%lld of %lld strands at their minimum, %lld in or beside a kink of the energy, which sink no more\n",
            (long long)s->converged, (long long)s->solves, (long long)s->stalled);
     printf("largest movement left %.2g m, force %.2g N; %.0f iterations a strand, %lld evaluations, %.1f s\n",

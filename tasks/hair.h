@@ -5,6 +5,7 @@
  *   subset.c     strands of a step and their physics            sample.c     the batch of a step
  *   material.c   parameters of energies that are inputs of the network, or learnt
  *   network.c    what an output is, strands from the network    network_*.c  a family of networks each
+ *   segments.c   lengths, turns and bends of strands
  *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c, solve.c
  */
 #ifndef HG_TASKS_HAIR_H
@@ -293,6 +294,14 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
  * guesses from call to call, at first -1; the others [S,V,3] are scratch. */
 hg_status hg_hair_count_inside(hg_ctx *host, hg_body_refit *refit, int64_t S, int64_t V, const float *x,
                                int32_t *triangle, float *contact_point, float *contact_normal, int64_t *inside);
+/* Sums over strands x [S,V,3] and the same ones rigidly posed; lengths [S,V-1] of the rest edges. */
+typedef struct {
+    double length_error, orientation, bend[2] /* of x, posed */, tips;
+    int64_t strands, segments;
+} hg_hair_segments;
+void hg_hair_segments_add(hg_hair_segments *sum, int64_t S, int64_t V, const float *x, const float *posed,
+                          const double *lengths);
+void hg_hair_segments_mean(const hg_hair_segments *sum, hg_hair_metrics *metrics);
 /* unweighted: [terms] f64, joule of the batch, gravity counted from the roots; of the step. */
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch, hg_hair_subset *subset,
                           hg_tensor **unweighted);

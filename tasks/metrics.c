@@ -38,8 +38,9 @@ typedef struct {
     hg_frame at;      /* of the step */
     double *last_tip; /* [2,tips,3] about the head, in head space, and in the world */
     side net, posed;
-    double length_error, orientation, tip_squares;
-    int64_t segments, tip_count;
+    hg_hair_segments shapes;
+    double tip_squares;
+    int64_t tip_count;
 } evaluation;
 
 static void side_free(side *s)
@@ -181,23 +182,6 @@ static hg_status count_inside(evaluation *e, side *s)
 
 static hg_vec3d point(const float *x) { return hg_vec3d_make((double)x[0], (double)x[1], (double)x[2]); }
 
-static void measure_segments(evaluation *e)
-{
-    const int64_t S = e->task->evaluation.n, V = e->task->groom->vertices;
-    const float *x = e->net.x, *y = e->posed.x;
-    const double *l0 = e->task->evaluation.lengths;
-    for (int64_t s = 0; s < S; s++)
-        for (int64_t v = 0; v + 1 < V; v++) {
-            const int64_t at = (s * V + v) * 3;
-            const hg_vec3d a = hg_vec3d_sub(point(x + at + 3), point(x + at));
-            const hg_vec3d b = hg_vec3d_sub(point(y + at + 3), point(y + at));
-            const double rest = fmax(l0[s * (V - 1) + v], 1e-6);
-            e->length_error += fabs(hg_vec3d_norm(a) - rest) / rest;
-            e->orientation += atan2(hg_vec3d_norm(hg_vec3d_cross(a, b)), hg_vec3d_dot(a, b));
-            e->segments++;
-        }
-}
-
 static void measure_tips(evaluation *e, int64_t frame)
 {
     const int64_t S = e->task->evaluation.n, V = e->task->groom->vertices;
@@ -256,7 +240,8 @@ static hg_status one_frame(evaluation *e, int64_t frame)
         e->net.energy[i] += terms[0][i] - (gravity ? terms[1][i] : 0);
         e->posed.energy[i] += gravity ? 0 : terms[1][i];
     }
-    measure_segments(e);
+    hg_hair_segments_add(&e->shapes, task->evaluation.n, task->groom->vertices, e->net.x, e->posed.x,
+                         task->evaluation.lengths);
     measure_tips(e, frame);
     turn_over(&e->net);
     turn_over(&e->posed);
@@ -308,8 +293,7 @@ static void summarise(const evaluation *e, hg_hair_metrics *metrics)
     const hg_hair_task *task = e->task;
     const double per_strand = 1 / (double)(e->frames * task->evaluation.n);
     *metrics = (hg_hair_metrics){ .frames = e->frames, .strands = task->evaluation.n };
-    metrics->length_error = 100 * e->length_error / (double)e->segments;
-    metrics->orientation = e->orientation / (double)e->segments * 180 / 3.14159265358979323846;
+    hg_hair_segments_mean(&e->shapes, metrics);
     metrics->inside = 100 * (double)e->net.inside / (double)e->net.vertices;
     metrics->inside_posed = 100 * (double)e->posed.inside / (double)e->posed.vertices;
     metrics->n_terms = task->terms.n;

@@ -21,6 +21,8 @@ void hg_hair_metrics_mean(const hg_hair_metrics *metrics, int n, hg_hair_metrics
         mean->energy_posed += share * m->energy_posed;
         mean->gravity_body += share * m->gravity_body;
         mean->gravity_body_posed += share * m->gravity_body_posed;
+        mean->curl += share * m->curl;
+        mean->tip_moved += share * m->tip_moved;
         mean->tip_amplitude += share * m->tip_amplitude;
         mean->n_terms = m->n_terms;
         for (int k = 0; k < m->n_terms; k++) {
@@ -61,6 +63,8 @@ static void one(hg_text *text, const char *in, const hg_hair_metrics *m)
     number(text, in, "energy_posed_joule_per_strand", m->energy_posed, ",");
     number(text, in, "gravity_body_joule_per_strand", m->gravity_body, ",");
     number(text, in, "gravity_body_posed_joule_per_strand", m->gravity_body_posed, ",");
+    number(text, in, "curl_of_rest", m->curl, ",");
+    number(text, in, "tip_moved_percent_of_length", m->tip_moved, ",");
     number(text, in, "tip_speed_metres_per_second", m->tip_amplitude, ",");
     number(text, in, "tip_lag_seconds", m->tip_lag, ",");
     hg_text_add(text, "%s\"terms\": {\n", in);

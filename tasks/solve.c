@@ -31,7 +31,8 @@ typedef struct {
         *posed_predicted; /* f64 [1,S,V,3] */
     hg_tensor *root_rotation, *root_position, *body_vertices;
 
-    double energy[2][HG_HAIR_TERMS], length_error, orientation, iterations;
+    double energy[2][HG_HAIR_TERMS], iterations;
+    hg_hair_segments shapes;
     int64_t inside[2], measured, frames; /* of the energies: frames */
     hg_hair_solution *solution;
 } solving;
@@ -204,8 +205,6 @@ static void predict(hg_tensor *to, const hg_tensor *before, const hg_tensor *old
     hg_tensor_touch(to);
 }
 
-static hg_vec3d point(const float *x) { return hg_vec3d_make((double)x[0], (double)x[1], (double)x[2]); }
-
 static hg_status measure(solving *s, int moving, const hg_frame *of_x, const hg_frame *of_posed)
 {
     double terms[2][HG_HAIR_TERMS];
@@ -222,15 +221,7 @@ static hg_status measure(solving *s, int moving, const hg_frame *of_x, const hg_
     for (int k = 0; k < 2; k++)
         HG_TRY(hg_hair_count_inside(s->ctx, s->refit, s->S, s->V, k ? s->posed_x : s->out, s->triangle[k],
                                     s->contact_point, s->contact_normal, &s->inside[k]));
-    for (int64_t i = 0; i < s->S; i++)
-        for (int64_t v = 0; v + 1 < s->V; v++) {
-            const int64_t at = (i * s->V + v) * 3;
-            const hg_vec3d a = hg_vec3d_sub(point(s->out + at + 3), point(s->out + at));
-            const hg_vec3d b = hg_vec3d_sub(point(s->posed_x + at + 3), point(s->posed_x + at));
-            const double rest = fmax(s->subset.lengths[i * (s->V - 1) + v], 1e-6);
-            s->length_error += fabs(hg_vec3d_norm(a) - rest) / rest;
-            s->orientation += atan2(hg_vec3d_norm(hg_vec3d_cross(a, b)), hg_vec3d_dot(a, b));
-        }
+    hg_hair_segments_add(&s->shapes, s->S, s->V, s->out, s->posed_x, s->subset.lengths);
     s->measured++;
     return HG_OK;
 }
@@ -312,8 +303,7 @@ static void summarise(const solving *s)
         .frames = s->measured, .strands = s->S, .tip_amplitude = (double)NAN, .tip_lag = (double)NAN
     };
     if (!s->measured) return;
-    m->length_error = 100 * s->length_error / edges;
-    m->orientation = s->orientation / edges * 180 / 3.14159265358979323846;
+    hg_hair_segments_mean(&s->shapes, m);
     m->inside = 100 * (double)s->inside[0] / edges;
     m->inside_posed = 100 * (double)s->inside[1] / edges;
     const int moving = s->options->dynamic && s->options->frames != 1;

@@ -98,6 +98,8 @@ typedef struct {
     double energy, energy_posed;  /* total per strand [J], gravity counted from the posed groom */
     double gravity_body, gravity_body_posed;
     int n_terms; const char *term[16]; double term_energy[16], term_posed[16];  /* per strand [J] */
+    double curl;                  /* mean angle between neighbouring segments over that of the posed groom: 1 keeps the style, 0 is straight */
+    double tip_moved;             /* mean distance of the tips from the posed groom's, % of the strands' length: how far the hair hangs */
     double tip_amplitude;         /* rms tip speed in the head's frame [m/s] */
     double tip_lag;               /* s, by the largest correlation of tip and head angular movement; NAN when still */
 } hg_hair_metrics;
