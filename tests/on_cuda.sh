@@ -5,6 +5,7 @@ program=$1 way=$2
 works() { "$HG_BUILD/hairgrad" devices 2>/dev/null | grep '^cuda' | grep -qv 'not usable'; }
 if works; then
     [ "$way" = forward ] || exit 77 # a GPU has its own order
+    export HG_TEST_GPU=1
 elif [ -e "$HG_BUILD/tests/emulator/libcuda.so.1" ]; then
     export LD_LIBRARY_PATH="$HG_BUILD/tests/emulator${LD_LIBRARY_PATH:+:$LD_LIBRARY_PATH}"
     works || { echo "the emulated driver does not work: $("$HG_BUILD/hairgrad" devices 2>&1)"; exit 1; }

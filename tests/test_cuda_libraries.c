@@ -107,7 +107,7 @@ static void test_products(void **state)
     gemm nothing = good;
     nothing.m = 0;
     assert_int_equal(call(handle, nothing), 0);
-    assert_string_equal(api->cublasGetStatusString(INVALID_VALUE), "CUBLAS_STATUS_INVALID_VALUE");
+    assert_non_null(strstr(api->cublasGetStatusString(INVALID_VALUE), "unsupported value"));
     assert_int_equal(api->cublasDestroy(handle), 0);
 }
 

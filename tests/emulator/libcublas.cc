@@ -143,14 +143,14 @@ int cublasSetMathMode(void *h, int mode)
 const char *cublasGetStatusString(int status)
 {
     switch (status) {
-    case SUCCESS: return "CUBLAS_STATUS_SUCCESS";
-    case NOT_INITIALIZED: return "CUBLAS_STATUS_NOT_INITIALIZED";
-    case ALLOC_FAILED: return "CUBLAS_STATUS_ALLOC_FAILED";
-    case INVALID_VALUE: return "CUBLAS_STATUS_INVALID_VALUE";
-    case EXECUTION_FAILED: return "CUBLAS_STATUS_EXECUTION_FAILED";
-    case NOT_SUPPORTED: return "CUBLAS_STATUS_NOT_SUPPORTED";
+    case SUCCESS: return "success";
+    case NOT_INITIALIZED: return "the library was not initialized";
+    case ALLOC_FAILED: return "the resource allocation failed";
+    case INVALID_VALUE: return "an unsupported value or parameter was passed to the function";
+    case EXECUTION_FAILED: return "the function failed to launch on the GPU";
+    case NOT_SUPPORTED: return "the requested functionality is not supported";
     }
-    return "<unknown>";
+    return "unrecognized status";
 }
 
 int cublasGemmEx(void *memory, int ta, int tb, int m, int n, int k, const void *alpha, const void *a, int a_type, int lda, const void *b, int b_type, int ldb, const void *beta, void *c, int c_type, int ldc, int compute, int algorithm)
