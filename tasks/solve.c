@@ -1,6 +1,6 @@
 /* solve: the energies of a config minimised on its scene, without a network: what the network is to find, and how far off
  * it is. Frame by frame; a frame that moves is the minimum of the same energies with the frames before it. */
-#include "tasks/hair.h"
+#include "tasks/judge.h"
 
 #include "geometry/vector.h"
 
@@ -66,8 +66,12 @@ static void solving_free(solving *s)
 static hg_status take_strands(solving *s)
 {
     const hg_groom *groom = s->task->groom;
+    const int32_t *given = s->options->strand;
     int64_t n = s->options->strands > 0 ? s->options->strands : hg_config_integer(s->task->config, "training.strands");
     if (n > groom->strands) n = groom->strands;
+    for (int64_t i = 0; given && i < n; i++)
+        if (given[i] < 0 || given[i] >= groom->strands)
+            return hg_fail(HG_INVALID, "solve: strand %d of a groom of %lld", (int)given[i], (long long)groom->strands);
     s->S = n;
     s->V = groom->vertices;
     s->subset = (hg_hair_subset){ .first = s->task->current, .grooms = 1, .n = n };
@@ -77,37 +81,20 @@ static hg_status take_strands(solving *s)
     s->rest = hg_alloc((size_t)(n * s->V) * 3, sizeof *s->rest);
     if (!s->subset.strand || !s->subset.lengths || !s->subset.mass || !s->rest) return HG_MEMORY;
     for (int64_t i = 0; i < n; i++) {
-        s->subset.strand[i] = (int32_t)(i * groom->strands / n);
+        s->subset.strand[i] = given ? given[i] : (int32_t)(i * groom->strands / n);
         memcpy(s->rest + i * s->V * 3, groom->points + s->subset.strand[i] * s->V * 3,
                (size_t)s->V * 3 * sizeof *s->rest);
     }
     return hg_hair_numbers_create(&s->numbers, &s->subset, s->task);
 }
 
-/* Does an energy look at other frames? */
-static hg_status of_time(const hg_term *term, bool *moves)
-{
-    hg_energy_inputs inputs;
-    HG_TRY(hg_energy_asks(term->energy, term->options, false, &inputs));
-    *moves = false;
-    for (int i = 0; i < inputs.n; i++)
-        *moves |= !strcmp(inputs.input[i].name, "predicted") || !strcmp(inputs.input[i].name, "previous");
-    return HG_OK;
-}
-
 static hg_status take_energies(solving *s)
 {
-    const hg_hair_terms *terms = &s->task->terms;
     for (int moving = 0; moving < 1 + s->options->dynamic; moving++) {
+        double params[HG_HAIR_TERMS][HG_ENERGY_PARAMS];
         hg_term term[HG_HAIR_TERMS];
         int n = 0;
-        for (int i = 0; i < terms->n; i++) {
-            bool moves;
-            HG_TRY(of_time(&terms->term[i], &moves));
-            if (moves && !moving) continue;
-            s->column[moving][n] = i;
-            term[n++] = terms->term[i];
-        }
+        HG_TRY(hg_hair_terms_now(s->task, moving, params, term, s->column[moving], &n));
         s->n_terms[moving] = n;
         if (!n) return hg_fail(HG_INVALID, "solve: the config has no energy that acts on hair at rest");
         if (moving && n == s->n_terms[0])

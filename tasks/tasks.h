@@ -123,6 +123,7 @@ typedef struct {
     bool dynamic;
     int64_t first, frames;               /* frames 0: to the end of the clip */
     int64_t strands;                     /* so many, evenly over the groom; 0: as many as a training step has */
+    const int32_t *strand;               /* [strands] of the groom: these ones; NULL: evenly */
 } hg_hair_solve_options;
 typedef struct {
     hg_hair_metrics metrics;             /* of the minimum; the last two of them are NAN. Its energies are those that were minimised; dynamic: without the first frame */

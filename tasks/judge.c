@@ -1,0 +1,168 @@
+/* judge: energies of chosen strands, whoever placed them: a network, a solver, the posed groom. */
+#include "tasks/judge.h"
+
+#include <math.h>
+#include <string.h>
+
+/* ---- energies of the config as they are now ---------------------------------------------------------------------- */
+
+static hg_status looks_back(const hg_term *term, bool *moves)
+{
+    hg_energy_inputs inputs;
+    HG_TRY(hg_energy_asks(term->energy, term->options, false, &inputs));
+    *moves = false;
+    for (int i = 0; i < inputs.n; i++)
+        *moves |= !strcmp(inputs.input[i].name, "predicted") || !strcmp(inputs.input[i].name, "previous");
+    return HG_OK;
+}
+
+/* name: "ENERGY.PARAMETER" */
+static void replace(const hg_term *term, double *params, const char *name, double value)
+{
+    const size_t length = strlen(term->energy->name);
+    if (strncmp(name, term->energy->name, length) != 0 || name[length] != '.') return;
+    for (int p = 0; p < HG_ENERGY_PARAMS && term->energy->params[p].name; p++)
+        if (!strcmp(term->energy->params[p].name, name + length + 1)) params[p] = value;
+}
+
+hg_status hg_hair_terms_now(hg_hair_task *task, bool moving, double params[HG_HAIR_TERMS][HG_ENERGY_PARAMS],
+                            hg_term term[HG_HAIR_TERMS], int column[HG_HAIR_TERMS], int *n)
+{
+    *n = 0;
+    for (int t = 0; t < task->terms.n; t++) {
+        bool moves;
+        HG_TRY(looks_back(&task->terms.term[t], &moves));
+        if (moves && !moving) continue;
+        const int k = (*n)++;
+        column[k] = t;
+        term[k] = task->terms.term[t];
+        memcpy(params[k], task->terms.params[t], sizeof params[k]);
+        term[k].params = params[k];
+        for (int i = 0; i < task->n_materials; i++)
+            replace(&term[k], params[k], task->materials[i].name, task->materials[i].value);
+        for (int i = 0; i < task->n_learnt; i++)
+            replace(&term[k], params[k], task->learnt[i].name,
+                    task->learnt[i].start * exp(hg_tensor_item(task->learnt[i].theta, 0)));
+    }
+    return HG_OK;
+}
+
+hg_status hg_hair_is_dynamic(hg_hair_task *task, bool *dynamic)
+{
+    *dynamic = false;
+    for (int t = 0; t < task->terms.n; t++) {
+        bool moves;
+        HG_TRY(looks_back(&task->terms.term[t], &moves));
+        *dynamic |= moves;
+    }
+    return HG_OK;
+}
+
+/* ---- the judge --------------------------------------------------------------------------------------------------- */
+
+void hg_hair_judge_free(hg_hair_judge *j)
+{
+    hg_tensor *const tensors[] = {
+        j->x, j->before, j->predicted, j->root_rotation, j->root_position, j->body_vertices
+    };
+    for (size_t i = 0; i < sizeof tensors / sizeof *tensors; i++) hg_tensor_destroy(tensors[i]);
+    for (int k = 0; k < 2; k++) hg_physics_destroy(j->physics[k]);
+    hg_body_refit_destroy(j->refit);
+    hg_hair_numbers_destroy(&j->numbers);
+    hg_free(j->subset.strand);
+    hg_free(j->subset.lengths);
+    hg_free(j->subset.mass);
+    hg_free(j->contact_point);
+    hg_free(j->contact_normal);
+    hg_free(j->triangle);
+}
+
+static hg_status make(hg_hair_judge *j, const int32_t *strand)
+{
+    const int64_t S = j->S, V = j->V, N = j->task->body_vertices;
+    j->subset = (hg_hair_subset){ .first = j->task->current, .grooms = 1, .n = S };
+    j->subset.strand = hg_alloc((size_t)S, sizeof *j->subset.strand);
+    j->subset.lengths = hg_alloc((size_t)(S * (V - 1)) + 1, sizeof(double));
+    j->subset.mass = hg_alloc((size_t)S, sizeof(double));
+    j->contact_point = hg_alloc((size_t)(S * V) * 3, sizeof(float));
+    j->contact_normal = hg_alloc((size_t)(S * V) * 3, sizeof(float));
+    j->triangle = hg_alloc((size_t)(S * V), sizeof(int32_t));
+    if (!j->ctx || !j->subset.strand || !j->subset.lengths || !j->subset.mass || !j->contact_point ||
+        !j->contact_normal || !j->triangle)
+        return HG_MEMORY;
+    memcpy(j->subset.strand, strand, (size_t)S * sizeof *strand);
+    for (int64_t i = 0; i < S * V; i++) j->triangle[i] = -1;
+    HG_TRY(hg_hair_numbers_create(&j->numbers, &j->subset, j->task));
+    for (int moving = 0; moving < 2; moving++) {
+        double params[HG_HAIR_TERMS][HG_ENERGY_PARAMS];
+        hg_term term[HG_HAIR_TERMS];
+        HG_TRY(hg_hair_terms_now(j->task, moving, params, term, j->column[moving], &j->n_terms[moving]));
+        if (j->n_terms[moving] == 0)
+            return hg_fail(HG_INVALID, "the config has no energy that acts on hair at rest: there is no minimum to "
+                                       "compare with");
+        HG_TRY(hg_physics_create(&j->physics[moving], j->ctx, HG_F64, term, j->n_terms[moving], &j->numbers.data));
+    }
+    HG_TRY(hg_body_refit_create(&j->refit, j->task->tree, HG_F32));
+    hg_tensor **const strands[] = { &j->x, &j->before, &j->predicted };
+    for (size_t i = 0; i < sizeof strands / sizeof *strands; i++)
+        if (!(*strands[i] = hg_tensor_create(j->ctx, HG_F64, 4, (int64_t[]){ 1, S, V, 3 }))) return HG_MEMORY;
+    j->root_rotation = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, S, 4 });
+    j->root_position = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, S, 3 });
+    j->body_vertices = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, N, 3 });
+    return j->root_rotation && j->root_position && j->body_vertices ? HG_OK : HG_MEMORY;
+}
+
+hg_status hg_hair_judge_create(hg_hair_judge *judge, hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n)
+{
+    *judge = (hg_hair_judge){ .task = task, .ctx = hg_ctx_on_host(ctx), .S = n, .V = task->groom->vertices };
+    return make(judge, strand);
+}
+
+static void widen(hg_tensor *to, const float *from)
+{
+    double *out = to->data;
+    for (int64_t i = 0; i < hg_tensor_count(to); i++) out[i] = (double)from[i];
+    hg_tensor_touch(to);
+}
+
+hg_status hg_hair_judge_frame(hg_hair_judge *j, const float *root_rotation, const float *root_position,
+                              const float *collider)
+{
+    widen(j->root_rotation, root_rotation);
+    widen(j->root_position, root_position);
+    widen(j->body_vertices, collider);
+    return hg_body_refit_update(j->ctx, j->refit, collider);
+}
+
+hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *before, const float *older,
+                                 double energy[HG_HAIR_TERMS])
+{
+    const int moving = before != NULL;
+    double terms[HG_HAIR_TERMS];
+    hg_frame frame = { .root_rotation = j->root_rotation,
+                       .root_position = j->root_position,
+                       .body_vertices = j->body_vertices,
+                       .dt = 1 / j->task->rate };
+    hg_step_reset(j->ctx);
+    widen(j->x, x);
+    if (moving) {
+        double *predicted = j->predicted->data;
+        widen(j->before, before);
+        for (int64_t i = 0; i < hg_tensor_count(j->x); i++) predicted[i] = 2 * (double)before[i] - (double)older[i];
+        hg_tensor_touch(j->predicted);
+        frame.previous = j->before;
+        frame.predicted = j->predicted;
+    }
+    HG_TRY(hg_physics_evaluate(j->physics[moving], j->ctx, &frame, j->x, terms, NULL, NULL));
+    for (int i = 0; i < j->n_terms[moving]; i++) {
+        const int column = j->column[moving][i];
+        energy[column] += j->task->terms.term[column].weight * terms[i];
+    }
+    return HG_OK;
+}
+
+hg_status hg_hair_judge_inside(hg_hair_judge *j, const float *x, int64_t *inside)
+{
+    return hg_hair_count_inside(j->ctx, j->refit, j->S, j->V, x, j->triangle, j->contact_point, j->contact_normal,
+                                inside);
+}
