@@ -67,7 +67,12 @@ static hg_status drape_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
     else
         hg_drape_file_discard(file);
     cli_progress_end();
-    if (status == HG_OK) printf("%s: %lld frames of %lld strands\n", path, (long long)frames, (long long)strands);
+    if (status == HG_OK) {
+        printf("%s: %lld frames of %lld strands", path, (long long)frames, (long long)strands);
+        const int64_t left_out = hg_hair_left_out(task, -1);
+        if (left_out) printf("; %lld of the groom are left out, they share a texel with another", (long long)left_out);
+        printf("\n");
+    }
     hg_motion_destroy(loaded);
     hg_hair_task_destroy(task);
     return status;

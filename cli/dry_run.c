@@ -10,8 +10,10 @@ static void tell_scene(const hg_hair_task *task)
            (long long)body->faces, (long long)body->scalp_faces, (long long)body->joints);
     for (int i = 0; i < hg_hair_grooms(task); i++) {
         const hg_groom *groom = hg_hair_groom_at(task, i);
-        printf("groom       %s: %lld strands of %lld vertices\n", groom->name ? groom->name : "grown",
+        printf("groom       %s: %lld strands of %lld vertices", groom->name ? groom->name : "grown",
                (long long)groom->strands, (long long)groom->vertices);
+        if (hg_hair_left_out(task, i)) printf(", %lld left out", (long long)hg_hair_left_out(task, i));
+        printf("\n");
     }
     for (int held_out = 0; held_out < 2; held_out++) {
         int64_t frames = 0;

@@ -93,7 +93,9 @@ static void check_joints(hg_findings *findings, const hg_config *config, const h
     for (int k = 0; k < 2; k++)
         for (int i = 0; i < hg_config_count(config, keys[k]); i++) {
             const char *name = hg_config_text_at(config, keys[k], i);
-            if (hg_body_joint(body, name) >= 0 || hg_hair_is_usual_list(config, keys[k])) continue;
+            if (hg_body_joint(body, name) >= 0 || hg_hair_is_usual_list(config, keys[k]) ||
+                hg_hair_is_all_joints(config, keys[k]))
+                continue;
             const char *nearest = hg_nearest_of(name, (const char *const *)body->joint_name, (int)body->joints);
             hg_findings_add(findings, HG_ERROR, "joints", "line %d, %s: the body has no joint \"%s\"%s%s",
                             hg_config_line(config, keys[k]), keys[k], name, nearest ? "; did you mean " : "",

@@ -32,6 +32,40 @@ hg_status hg_hair_encode(hg_hair_task *task)
     return HG_OK;
 }
 
+/* ---- training ----------------------------------------------------------------------------------------------- */
+
+hg_status hg_hair_encoder_learn(hg_hair_task *task, const hg_task *learn, const hg_progress *progress)
+{
+    hg_train_options options = hg_train_defaults();
+    options.steps = hg_config_integer(task->config, "features.encoder_steps");
+    options.learning_rate = 1e-3;
+    options.warm_up = options.steps < 100 ? 0 : 20;
+    options.final_fraction = 0.02;
+    hg_train_result result;
+    const hg_status status = hg_train(task->ctx, task->encoder, learn, &options, progress, &result);
+    hg_step_reset(task->ctx);
+    return status;
+}
+
+/* Vertices 1.. relative to their roots are of order one over all grooms. */
+static double strand_scale(const hg_hair_task *task)
+{
+    const int inputs = (int)(task->groom->vertices - 1) * 3;
+    double squares = 0, count = 0;
+    for (int g = 0; g < task->n_grooms; g++) {
+        const hg_groom *groom = task->styles[g].groom;
+        for (int64_t s = 0; s < groom->strands; s++) {
+            const float *root = groom->points + s * groom->vertices * 3;
+            for (int i = 0; i < inputs; i++) {
+                const double d = (double)(root[3 + i] - root[i % 3]);
+                squares += d * d;
+            }
+        }
+        count += (double)groom->strands * inputs;
+    }
+    return (double)(float)(1 / fmax(sqrt(squares / count), 1e-6));
+}
+
 /* ---- files -------------------------------------------------------------------------------------------------- */
 
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file)
@@ -87,7 +121,12 @@ static uint64_t encoder_hash(const hg_hair_task *task)
 {
     const int64_t settings[] = { task->latent, hg_config_integer(task->config, "features.encoder_width"),
                                  hg_config_integer(task->config, "features.encoder_steps"), (int64_t)task->seed };
-    const uint64_t hash = hg_hash(settings, sizeof settings, hg_hair_grooms_hash(task));
+    uint64_t hash = hg_hash(settings, sizeof settings, hg_hair_grooms_hash(task));
+    if (task->network->images) {
+        const int64_t sizes[] = { hg_config_integer(task->config, "model.texture"),
+                                  hg_config_integer(task->config, "model.depth") };
+        hash = hg_hash(sizes, sizeof sizes, hash);
+    }
     const char *from = hg_config_text(task->config, "training.start_from");
     return from[0] ? hg_hash(from, strlen(from), hash) : hash;
 }
@@ -125,6 +164,7 @@ hg_status hg_hair_encoder_keep(const hg_hair_task *task)
 
 hg_status hg_hair_encoder_create(hg_hair_task *task, const hg_progress *progress)
 {
+    task->strand_scale = strand_scale(task);
     HG_TRY(task->network->make_encoder(task));
     for (int g = 0; g < task->n_grooms; g++) HG_TRY(make_style(task, &task->styles[g]));
 

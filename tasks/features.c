@@ -1,14 +1,14 @@
 /* features: what the network is told of a frame, and how every input is brought to order one.
  *
  *   [..]                           of the strand or the groom (network_*.c)
- *   [shape 10 | pose: 6 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint) | materials]
+ *   [shape 10 | pose: 6 or 3 per joint | 30 x (head acceleration or velocity 3, angular velocity 3 per joint) | materials]
  *                                  of the frame
  *
- * Pose: the first two columns of a joint's rotation; local to its parent, but the head's is global with its heading
+ * Pose: the first two columns of a joint's rotation, or its rotation vector; local to its parent, but the head's is global with its heading
  * removed: it carries the direction of gravity. Velocities of frame f lie between f - 1 and f: angular ones in the joint's
  * own space in units of 3 rad/s (the head's and the root joint's global, others against their parent); the head's linear
  * one in head space in units of 1 m/s, or (`linear: acceleration`) its change since the frame before, in 10 m/s^2: inertia
- * does not know velocities, so a network that is told of them has to learn not to look. Newest frame first; before the
+ * does not know velocities, so a network that is told of them has to learn not to look; or (`linear: none`) it is left out. Newest frame first; before the
  * clip everything is at rest.
  * Joints are placed on the neutral body, whatever the shape: velocities then depend on the clip alone.
  *
@@ -26,9 +26,33 @@ static const double least_pose = 0.1, least_velocity = 0.2;
 
 /* ---- layout ------------------------------------------------------------------------------------------------- */
 
+bool hg_hair_is_all_joints(const hg_config *config, const char *key)
+{
+    return hg_config_count(config, key) == 1 && !strcmp(hg_config_text_at(config, key, 0), "all");
+}
+
+/* What Quaffure takes of CMU's rig of 31: all but four that say nothing of hair. */
+static hg_status all_joints(const hg_config *config, const char *key, const hg_body *body, int *joints, int *count)
+{
+    static const char *const left_out[] = { "LHipJoint", "RHipJoint", "LThumb", "RThumb" };
+    *count = 0;
+    for (int64_t j = 0; j < body->joints; j++) {
+        bool taken = true;
+        for (int i = 0; i < 4; i++) taken &= strcmp(body->joint_name[j], left_out[i]) != 0;
+        if (!taken) continue;
+        if (*count == HG_HAIR_JOINTS)
+            return hg_fail(HG_INVALID,
+                           "%s:%d: %s: all: the body has more than %d joints; name those that move the hair",
+                           hg_config_name(config), hg_config_line(config, key), key, HG_HAIR_JOINTS);
+        joints[(*count)++] = (int)j;
+    }
+    return HG_OK;
+}
+
 static hg_status find_joints(const hg_config *config, const char *key, const hg_body *body, int *joints, int *count)
 {
     *count = hg_config_count(config, key);
+    if (hg_hair_is_all_joints(config, key)) return all_joints(config, key, body, joints, count);
     if (*count > HG_HAIR_JOINTS)
         return hg_fail(HG_INVALID, "%s:%d: %s: %d joints; at most %d", hg_config_name(config),
                        hg_config_line(config, key), key, *count, HG_HAIR_JOINTS);
@@ -53,11 +77,13 @@ hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config,
     layout->history = (int)hg_config_integer(config, "features.history");
     layout->head = hg_body_joint(body, "Head");
     if (layout->head < 0) return hg_fail(HG_INVALID, "the body has no joint \"Head\", which carries the hair");
+    layout->linear = strcmp(hg_config_text(config, "features.linear"), "none") != 0;
     layout->acceleration = !strcmp(hg_config_text(config, "features.linear"), "acceleration");
+    layout->pose_columns = strcmp(hg_config_text(config, "features.rotation"), "axis_angle") ? 6 : 3;
     HG_TRY(find_joints(config, "features.pose_joints", body, layout->pose, &layout->n_pose));
     HG_TRY(find_joints(config, "features.velocity_joints", body, layout->velocity, &layout->n_velocity));
-    layout->pose_inputs = 6 * layout->n_pose;
-    layout->velocity_inputs = 3 + 3 * layout->n_velocity;
+    layout->pose_inputs = layout->pose_columns * layout->n_pose;
+    layout->velocity_inputs = 3 * layout->linear + 3 * layout->n_velocity;
     layout->frame_inputs = (layout->shape ? HG_SHAPES : 0) + layout->pose_inputs +
                            layout->history * layout->velocity_inputs + layout->materials;
     if (layout->frame_inputs < 1)
@@ -113,6 +139,16 @@ static void two_columns(hg_quatd q, float *out)
     out[3] = (float)y.x, out[4] = (float)y.y, out[5] = (float)y.z;
 }
 
+static void pose_numbers(const hg_hair_layout *layout, hg_quatd q, float *out)
+{
+    if (layout->pose_columns == 6) {
+        two_columns(q, out);
+        return;
+    }
+    const hg_vec3d turn = hg_quatd_to_rotation_vector(q.w < 0 ? hg_quatd_neg(q) : q); /* the short way */
+    out[0] = (float)turn.x, out[1] = (float)turn.y, out[2] = (float)turn.z;
+}
+
 /* The angular velocity that leads from a to b in one frame, in the space of b, the short way. */
 static void angular_velocity(hg_quatd a, hg_quatd b, double rate, float *out)
 {
@@ -136,11 +172,14 @@ static void track_velocity(const hg_hair_layout *layout, const hg_motion *motion
     const double unit =
         layout->acceleration ? motion->rate * motion->rate / acceleration_unit : motion->rate / linear_unit;
     const hg_vec3d seen = hg_quatd_rotate(hg_quatd_conj(hg_quatd_load(now + 4 * layout->head)), moved);
-    out[0] = (float)(seen.x * unit), out[1] = (float)(seen.y * unit), out[2] = (float)(seen.z * unit);
+    if (layout->linear) {
+        out[0] = (float)(seen.x * unit), out[1] = (float)(seen.y * unit), out[2] = (float)(seen.z * unit);
+        out += 3;
+    }
     for (int i = 0; i < layout->n_velocity; i++) {
         const int joint = layout->velocity[i];
         angular_velocity(joint_rotation(layout, motion, before, frame - 1, joint),
-                         joint_rotation(layout, motion, now, frame, joint), motion->rate, out + 3 + 3 * i);
+                         joint_rotation(layout, motion, now, frame, joint), motion->rate, out + 3 * i);
     }
 }
 
@@ -154,7 +193,7 @@ hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layou
     const size_t joints = (size_t)body->joints, frames = (size_t)motion->frames;
     double *scratch = hg_alloc(joints * 14, sizeof *scratch);
     track->pose = hg_alloc(frames * (size_t)(layout->pose_inputs ? layout->pose_inputs : 1), sizeof(float));
-    track->velocity = hg_alloc(frames * (size_t)layout->velocity_inputs, sizeof(float));
+    track->velocity = hg_alloc(frames * (size_t)(layout->velocity_inputs ? layout->velocity_inputs : 1), sizeof(float));
     if (!scratch || !track->pose || !track->velocity) {
         hg_free(scratch);
         hg_hair_track_destroy(track);
@@ -170,7 +209,7 @@ hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layou
             const int joint = layout->pose[i];
             hg_quatd q = joint_rotation(layout, motion, rotation[now], t, joint);
             if (joint == layout->head) q = without_heading(q);
-            two_columns(q, track->pose + t * layout->pose_inputs + 6 * i);
+            pose_numbers(layout, q, track->pose + t * layout->pose_inputs + layout->pose_columns * i);
         }
         if (t == 0) continue;
         const hg_vec3d moved_before = moved;
@@ -283,14 +322,18 @@ static hg_status frame_feature_rows(hg_hair_task *task)
     const hg_hair_layout *layout = &task->layout;
     const hg_body *body = task->body;
     const char axis[3] = { 'x', 'y', 'z' };
+    const int linear = 3 * layout->linear;
     double mean[3 + 3 * HG_HAIR_JOINTS], deviation[3 + 3 * HG_HAIR_JOINTS];
     for (int k = 0; layout->shape && k < HG_SHAPES; k++)
         HG_TRY(hg_hair_add_feature(task, hg_format("shape[%d]", k), 0, fmax(body->shape_spread[k], 0.05)));
     for (int i = 0; i < layout->pose_inputs; i++) {
         clip_moments(task, true, i, least_pose, mean, deviation);
-        HG_TRY(hg_hair_add_feature(
-            task, hg_format("pose.%s.%c%c", body->joint_name[layout->pose[i / 6]], axis[i % 6 / 3], axis[i % 3]), *mean,
-            *deviation));
+        const char *joint = body->joint_name[layout->pose[i / layout->pose_columns]];
+        HG_TRY(hg_hair_add_feature(task,
+                                   layout->pose_columns == 6
+                                       ? hg_format("pose.%s.%c%c", joint, axis[i % 6 / 3], axis[i % 3])
+                                       : hg_format("pose.%s.%c", joint, axis[i % 3]),
+                                   *mean, *deviation));
     }
     for (int i = 0; i < layout->velocity_inputs; i++)
         clip_moments(task, false, i, least_velocity, mean + i, deviation + i);
@@ -298,9 +341,10 @@ static hg_status frame_feature_rows(hg_hair_task *task)
         for (int i = 0; i < layout->velocity_inputs; i++)
             HG_TRY(hg_hair_add_feature(
                 task,
-                i < 3 ? hg_format("%s[%d].Head.%c", layout->acceleration ? "acceleration" : "velocity", lag, axis[i])
-                      : hg_format("angular_velocity[%d].%s.%c", lag, body->joint_name[layout->velocity[i / 3 - 1]],
-                                  axis[i % 3]),
+                i < linear
+                    ? hg_format("%s[%d].Head.%c", layout->acceleration ? "acceleration" : "velocity", lag, axis[i])
+                    : hg_format("angular_velocity[%d].%s.%c", lag, body->joint_name[layout->velocity[(i - linear) / 3]],
+                                axis[i % 3]),
                 mean[i], deviation[i]));
     for (int i = 0; i < task->n_materials; i++) { /* uniform between two logarithms */
         const double low = log10(task->materials[i].low), high = log10(task->materials[i].high);

@@ -35,9 +35,10 @@ hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
 
 /* ---- features of frames ------------------------------------------------------------------------------------- */
 
-enum { HG_HAIR_JOINTS = 16 };
+enum { HG_HAIR_JOINTS = 32 };
 typedef struct {
-    bool shape, acceleration; /* inputs: the shape; the head's linear motion as acceleration */
+    bool shape, linear, acceleration; /* inputs: the shape; the head's linear motion, as acceleration */
+    int pose_columns;                 /* of a joint: 6, two columns of its rotation; 3, a rotation vector */
     int history, n_pose, n_velocity;
     int pose[HG_HAIR_JOINTS], velocity[HG_HAIR_JOINTS]; /* joints of the body */
     int head;
@@ -58,6 +59,7 @@ typedef struct {
     hg_hair_track track;
 } hg_hair_clip_data;
 
+bool hg_hair_is_all_joints(const hg_config *config, const char *key); /* `[all]` stands there */
 hg_status hg_hair_layout_create(hg_hair_layout *layout, const hg_config *config, const hg_body *body);
 hg_status hg_hair_track_create(hg_hair_track *track, const hg_hair_layout *layout, const hg_body *body,
                                const hg_motion *motion);
@@ -78,6 +80,7 @@ typedef struct {
     int32_t *lock, locks;                  /* [S] lock of a strand; how many there are */
     float *raw;                            /* [S,strand_inputs]; of a network of grooms [strand_inputs] */
     int32_t *texel;                        /* [S] of a network that makes images: where in them; else NULL */
+    int64_t left_out;                      /* strands that the network cannot draw: not in groom */
 } hg_hair_style;
 
 /* ---- strands of a step -------------------------------------------------------------------------------------- */
@@ -158,7 +161,7 @@ typedef struct {
     const char *encoder_label; /* what is shown while the encoder learns */
     /* Keeps of a groom that was loaded the strands that the network can draw. NULL: it draws all. */
     hg_status (*choose)(const hg_hair_task *task, hg_hair_style *style);
-    /* Once the grooms are there: task->encoder as it begins, strand_inputs, and the scale of what the encoder takes. */
+    /* Once the grooms are there: task->encoder as it begins, latent and strand_inputs. */
     hg_status (*make_encoder)(hg_hair_task *task);
     hg_status (*train_encoder)(hg_hair_task *task, const hg_progress *progress);
     hg_status (*encode)(hg_hair_task *task, hg_hair_style *style); /* fills its raw features */
@@ -175,6 +178,7 @@ typedef struct {
 } hg_hair_network;
 
 extern const hg_hair_network hg_hair_network_strands; /* a row of numbers for each strand */
+extern const hg_hair_network hg_hair_network_texture; /* an image of all strands of a groom */
 
 /* ---- task --------------------------------------------------------------------------------------------------- */
 
@@ -183,9 +187,9 @@ struct hg_hair_task {
     hg_config *config;
     uint64_t config_hash, seed;
     hg_dtype compute; /* of the network's products in a training step; validations are f32 */
-    char *folder, *backend, *backend_note, *start_from; /* start_from: a checkpoint; NULL: none */
-    bool opened;                                        /* a finished run: nothing is trained or written */
-    bool folder_made, encoder_trained;                  /* now: not there before */
+    char *folder, *backend, *backend_note, *note, *start_from; /* start_from: a checkpoint; NULL: none */
+    bool opened;                                               /* a finished run: nothing is trained or written */
+    bool folder_made, encoder_trained;                         /* now: not there before */
 
     hg_body *body;
     hg_hair_style *styles;       /* [n_grooms + 1]: those trained on, then one that is only draped */
@@ -206,6 +210,7 @@ struct hg_hair_task {
     int strand_inputs, inputs, outputs, pinned, latent;
     int rest_columns; /* of the concatenated input, behind the strand's: only for directions */
     bool directions;  /* outputs turn edges */
+    bool world;       /* displacements are along the axes of the world, not of the head at rest */
     double output_scale;
     double *mean, *deviation; /* [inputs] */
     hg_feature *features;     /* [inputs] */
@@ -235,6 +240,7 @@ struct hg_hair_task {
 
 hg_status hg_hair_world_create(hg_hair_task *task, const hg_progress *progress);
 hg_status hg_hair_encoder_create(hg_hair_task *task, const hg_progress *progress); /* and what belongs to each groom */
+hg_status hg_hair_encoder_learn(hg_hair_task *task, const hg_task *learn, const hg_progress *progress);
 hg_status hg_hair_encoder_save(const hg_hair_task *task, hg_h5 *file);
 hg_status hg_hair_encoder_keep(const hg_hair_task *task); /* in the run folder, when it was trained now */
 hg_status hg_hair_encoder_load(hg_hair_task *task, hg_h5 *file);

@@ -129,6 +129,13 @@ static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *byt
     return value;
 }
 
+static int64_t left_out_of_all(const hg_hair_task *task)
+{
+    int64_t n = 0;
+    for (int g = 0; g < task->n_grooms; g++) n += task->styles[g].left_out;
+    return n;
+}
+
 /* ---- validation --------------------------------------------------------------------------------------------- */
 
 /* The loss on frames and body shapes that training does not draw: held-out clips at even distances, or, where there are
@@ -170,6 +177,7 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
     if (status != HG_OK) return status;
     hg_report_add(report, "validation", total);
     for (int i = 0; i < task->terms.n; i++) hg_report_add(report, task->term_name[i][2], terms[i]);
+    if (task->network->choose) hg_report_add(report, "strands_left_out", (double)left_out_of_all(task));
     return HG_OK;
 }
 
@@ -327,6 +335,21 @@ static hg_status take_compute(hg_hair_task *task)
     return hg_ctx_compute(task->ctx, HG_F32);
 }
 
+/* What a network that cannot draw every strand leaves out. */
+static hg_status tell_left_out(hg_hair_task *task, const hg_progress *progress)
+{
+    int64_t strands = left_out_of_all(task);
+    if (strands == 0) return HG_OK;
+    const int64_t left_out = strands;
+    for (int g = 0; g < task->n_grooms; g++) strands += task->styles[g].groom->strands;
+    task->note = hg_format("%lld of %lld strands are left out: their roots share a texel with another's; a larger "
+                           "model.texture keeps more",
+                           (long long)left_out, (long long)strands);
+    if (!task->note) return HG_MEMORY;
+    hg_progress_report(progress, 0, "%s", task->note);
+    return HG_OK;
+}
+
 static hg_train_options train_options(const hg_hair_task *task)
 {
     const hg_config *c = task->config;
@@ -351,6 +374,7 @@ static hg_train_options train_options(const hg_hair_task *task)
     options.config_hash = task->config_hash;
     options.backend = task->backend;
     options.backend_note = task->backend_note;
+    options.note = task->note;
     return options;
 }
 
@@ -383,6 +407,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(hg_hair_materials_create(task));
     HG_TRY(hg_hair_network_find(task));
     HG_TRY(hg_hair_world_create(task, progress));
+    HG_TRY(tell_left_out(task, progress));
     HG_TRY(hg_hair_encoder_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
     task->reference = hg_hair_reference_energy(task, &task->clip_vertex);
@@ -471,6 +496,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
     hg_free(task->folder);
     hg_free(task->backend);
     hg_free(task->backend_note);
+    hg_free(task->note);
     hg_free(task->start_from);
     hg_config_destroy(task->config);
     hg_free(task);
@@ -522,6 +548,10 @@ int hg_hair_grooms(const hg_hair_task *task) { return task->n_grooms; }
 const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i)
 {
     return i >= 0 && i < task->n_grooms ? task->styles[i].groom : NULL;
+}
+int64_t hg_hair_left_out(const hg_hair_task *task, int i)
+{
+    return i >= 0 && i < task->n_grooms ? task->styles[i].left_out : task->styles[task->current].left_out;
 }
 const hg_physics *hg_hair_physics(const hg_hair_task *task) { return task->subset.physics; }
 const hg_body *hg_hair_body(const hg_hair_task *task) { return task->body; }

@@ -7,7 +7,7 @@ hg_status hg_hair_network_find(hg_hair_task *task)
 {
     const hg_architecture *architecture;
     HG_TRY(hg_architecture_find(&architecture, hg_config_text(task->config, "model.kind")));
-    task->network = &hg_hair_network_strands;
+    task->network = architecture->images ? &hg_hair_network_texture : &hg_hair_network_strands;
     return HG_OK;
 }
 
@@ -31,6 +31,12 @@ static hg_status make_output(hg_hair_task *task)
     task->outputs = (int)(V - task->pinned) * 3;
     task->directions = !strcmp(output, "directions");
     task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
+    task->world = !strcmp(hg_config_text(config, "model.space"), "world");
+    if (task->world && task->directions)
+        return hg_fail(HG_INVALID,
+                       "%s:%d: model.space: world goes with outputs of vertices or edges; the directions of edges are "
+                       "turned in the head's space",
+                       hg_config_name(config), hg_config_line(config, "model.space"));
     if (task->directions) return HG_OK;
     task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
     if (!task->output_map) return HG_MEMORY;
@@ -56,6 +62,10 @@ hg_status hg_hair_network_create(hg_hair_task *task)
                            .depth = (int)hg_config_integer(task->config, "model.depth"),
                            .latent = task->latent,
                            .seed = task->seed };
+    if (task->network->images) {
+        spec.texture = (int)hg_config_integer(task->config, "model.texture");
+        spec.groups = (int)hg_config_integer(task->config, "model.groups");
+    }
     HG_TRY(hg_activation_parse(hg_config_text(task->config, "model.activation"), &spec.activation));
     HG_TRY(hg_model_create(&task->model, task->ctx, hg_config_text(task->config, "model.kind"), &spec));
     return task->network->check_model(task, task->model);
@@ -75,6 +85,15 @@ static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor
     d = framed ? hg_reshape(ctx, d, 4, (int64_t[]){ outputs->shape[0], outputs->shape[1], edges, 3 })
                : hg_reshape(ctx, d, 3, (int64_t[]){ -1, edges, 3 });
     return task->directions ? hg_turn_edges(ctx, d, rest) : d;
+}
+
+/* d [R,S,V-1,3] from where the head carries the strands. */
+static hg_tensor *place(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *d, hg_tensor *rest, hg_tensor *rotation,
+                        hg_tensor *position)
+{
+    if (!task->world) return hg_place(ctx, d, rest, rotation, position);
+    hg_tensor *posed = hg_place(ctx, hg_scale(ctx, hg_detach(ctx, d), 0, 0), rest, rotation, position);
+    return hg_add(ctx, hg_pad(ctx, d, 2, 1, 0), posed);
 }
 
 hg_hair_part hg_hair_part_of(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
@@ -124,8 +143,8 @@ hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_
             n = 1;
         }
         pieces[n++] =
-            hg_place(ctx, displacements(task, ctx, out, of), of, hg_tensor_rows(ctx, rotation, row, end - row),
-                     hg_tensor_rows(ctx, position, row, end - row));
+            place(task, ctx, displacements(task, ctx, out, of), of, hg_tensor_rows(ctx, rotation, row, end - row),
+                  hg_tensor_rows(ctx, position, row, end - row));
     }
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
@@ -160,8 +179,17 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
 
 /* ---- formulas, for export ----------------------------------------------------------------------------------- */
 
+static bool has_strand_formula(const hg_hair_task *task, hg_ctx *ctx)
+{
+    if (!task->network->of_grooms) return true;
+    hg_ctx_fail(ctx, HG_UNSUPPORTED, "a %s makes images of a groom: there is no formula of a single strand",
+                task->model->kind);
+    return false;
+}
+
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
 {
+    if (!has_strand_formula(task, ctx)) return NULL;
     const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
     hg_tensor *in = raw, *rest = NULL;
     if (task->directions) { /* [strand | rest | frame] */
@@ -185,11 +213,13 @@ static hg_tensor *normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *r
 
 hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
 {
+    if (!has_strand_formula(task, ctx)) return NULL;
     return task->model->strand_part(task->model->self, ctx, normalised(task, ctx, raw, 0, task->strand_inputs));
 }
 
 hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
 {
+    if (!has_strand_formula(task, ctx)) return NULL;
     const int64_t edges = task->groom->vertices - 1;
     hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
     if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);

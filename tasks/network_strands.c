@@ -56,24 +56,6 @@ static void strand_rows(const hg_groom *groom, int64_t first, int64_t count, int
     }
 }
 
-/* So that they are of order one over all grooms. */
-static double strand_scale(const hg_hair_task *task, int inputs)
-{
-    double squares = 0, count = 0;
-    for (int g = 0; g < task->n_grooms; g++) {
-        const hg_groom *groom = task->styles[g].groom;
-        for (int64_t s = 0; s < groom->strands; s++) {
-            const float *root = groom->points + s * groom->vertices * 3;
-            for (int i = 0; i < inputs; i++) {
-                const double d = (double)(root[3 + i] - root[i % 3]);
-                squares += d * d;
-            }
-        }
-        count += (double)groom->strands * inputs;
-    }
-    return (double)(float)(1 / fmax(sqrt(squares / count), 1e-6));
-}
-
 static float *all_rows(const hg_hair_task *task, int inputs)
 {
     float *out = hg_alloc((size_t)(strands_of_all(task) * inputs), sizeof *out);
@@ -94,14 +76,7 @@ static hg_status train_encoder(hg_hair_task *task, const hg_progress *progress)
                             .batch_bytes = (size_t)(data.batch * data.inputs) * sizeof(float),
                             .sample = encoder_sample,
                             .loss = encoder_loss };
-    hg_train_options options = hg_train_defaults();
-    options.steps = hg_config_integer(task->config, "features.encoder_steps");
-    options.learning_rate = 1e-3;
-    options.warm_up = options.steps < 100 ? 0 : 20;
-    options.final_fraction = 0.02;
-    hg_train_result result;
-    const hg_status status = hg_train(task->ctx, task->encoder, &learn, &options, progress, &result);
-    hg_step_reset(task->ctx);
+    const hg_status status = hg_hair_encoder_learn(task, &learn, progress);
     hg_free(data.strands);
     return status;
 }
@@ -111,7 +86,6 @@ static hg_status make_encoder(hg_hair_task *task)
     const int inputs = (int)(task->groom->vertices - 1) * 3;
     task->latent = (int)hg_config_integer(task->config, "features.latent");
     task->strand_inputs = 2 + 2 * task->latent;
-    task->strand_scale = strand_scale(task, inputs);
     const hg_model_spec spec = { .inputs = inputs,
                                  .outputs = inputs,
                                  .width = (int)hg_config_integer(task->config, "features.encoder_width"),

@@ -41,6 +41,8 @@ hg_status hg_hair_task_open_with(hg_hair_task **task, hg_ctx *ctx, const char *r
 const hg_groom *hg_hair_groom(const hg_hair_task *task);
 int hg_hair_grooms(const hg_hair_task *task);                     /* trained on; hg_hair_groom is the one that is draped */
 const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i);
+/* Strands of groom i (-1: of hg_hair_groom) that the network cannot draw: hg_hair_groom is without them. */
+int64_t hg_hair_left_out(const hg_hair_task *task, int i);
 /* The groom to drape and evaluate from now on: one of those trained on, by its file's name or its style, or another: a
  * file or a style. Its strands need as many vertices. */
 hg_status hg_hair_choose_groom(hg_hair_task *task, const char *name);

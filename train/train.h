@@ -64,6 +64,7 @@ typedef struct {
     uint64_t config_hash;                  /* a resume on another config is refused */
     const char *backend;                   /* logged; a resume on another one is refused unless allowed */
     const char *backend_note;              /* logged beside it: why it is interpreted, how long it took to compile; NULL or "": nothing */
+    const char *note;                      /* logged when the run begins; NULL: nothing */
     const char *graph;                     /* the tape of the first step, with the norms of its gradients, is drawn there (Graphviz); NULL: not */
     bool (*stop)(void *);  void *stop_self; /* asked once a step; true: checkpoint and return (signal handlers) */
 } hg_train_options;

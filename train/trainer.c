@@ -337,6 +337,7 @@ static hg_status prepare(run *r)
     if (r->options->backend) HG_TRY(hg_run_log_note(r->log, r->state.step, "backend", r->options->backend));
     if (r->options->backend_note && r->options->backend_note[0])
         HG_TRY(hg_run_log_note(r->log, r->state.step, "backend_note", r->options->backend_note));
+    if (r->options->note) HG_TRY(hg_run_log_note(r->log, r->state.step, "note", r->options->note));
     if (r->options->minutes > 0)
         HG_TRY(hg_run_log_note(r->log, r->state.step, "note",
                                "a time limit steers the learning rate: this run cannot be repeated bit for bit"));
