@@ -119,7 +119,7 @@ static void energies_of(bench *b, int64_t count)
                              .x = s.x[k < 3],
                              .gradient = s.gradient[k < 3] };
     side[0].physics[0] = make(b->ctx[1], 4, four, &s.data, HG_BACKEND_AUTO);
-    side[1].physics[0] = make(b->ctx[1], 4, four, &s.data, HG_BACKEND_INTERPRETER);
+    if (!b->device) side[1].physics[0] = make(b->ctx[1], 4, four, &s.data, HG_BACKEND_INTERPRETER);
     for (int k = 0; k < 2; k++) side[2].physics[k] = make(b->ctx[1], 1, four + k, &s.data, HG_BACKEND_AUTO);
     side[3].physics[0] = make(b->ctx[0], 4, four, &s.data, HG_BACKEND_AUTO);
     const int64_t shape[4] = { 1, count, VERTICES, 3 };
@@ -130,13 +130,12 @@ static void energies_of(bench *b, int64_t count)
 
     const int bits = same_bits(&s, &side[3], &side[0]);
     double ms;
-    for (int k = 1; k < 3; k++) evaluate(&side[k], &ms, 1);
+    for (int k = b->device ? 2 : 1; k < 3; k++) evaluate(&side[k], &ms, 1);
     int64_t state[3];
     bench_steady_begin(b, state);
-    bench_side race[5] = { { "compiled", evaluate, &side[0] },
-                           { "interpreter", evaluate, &side[1] },
-                           { "two apart", evaluate, &side[2] } };
-    int n = 3, eager = -1, compiled = -1;
+    bench_side race[5] = { { "compiled", evaluate, &side[0] }, { "two apart", evaluate, &side[2] } };
+    int n = 2, interpreted = -1, eager = -1, compiled = -1;
+    if (!b->device) race[interpreted = n++] = (bench_side){ "interpreter", evaluate, &side[1] };
     if (bench_peer_has(peer, "eager")) race[eager = n++] = bench_peer_side(peer, "eager", "PyTorch eager");
     if (bench_peer_has(peer, "compile")) race[compiled = n++] = bench_peer_side(peer, "compile", "torch.compile");
     bench_race(b, n, race, count > 10000 ? 5 : 9);
@@ -146,9 +145,9 @@ static void energies_of(bench *b, int64_t count)
                        .same_bits = bits,
                        .steady = steady };
     snprintf(r.row, sizeof r.row, "four strand energies, %lld", (long long)count);
-    for (int k = 0; k < 2; k++) {
+    for (int k = 0; k < (interpreted < 0 ? 1 : 2); k++) {
         snprintf(r.ours, sizeof r.ours, "%s", hg_physics_backend_name(side[k].physics[0]));
-        r.ours_ms = race[k].median;
+        r.ours_ms = race[k ? interpreted : 0].median;
         r.aim = k == 0 ? 100 : 25;
         r.other_ms = eager >= 0 ? race[eager].median : 0;
         snprintf(r.other, sizeof r.other, "%s", eager >= 0 ? "PyTorch eager" : "");
@@ -165,7 +164,7 @@ static void energies_of(bench *b, int64_t count)
         bench_add(b, &r);
     }
     r.aim = 1;
-    r.other_ms = race[2].median;
+    r.other_ms = race[1].median;
     snprintf(r.other, sizeof r.other, "stretch and bend_twist apart");
     bench_add(b, &r);
     bench_peer_end(peer);
@@ -227,7 +226,7 @@ void bench_energy(bench *b, const char *name)
     scene s;
     make_scene(b, &s, 3000);
     for (int c = 0; c < 2; c++) s.frame[c].previous = s.predicted[c];
-    strands side[3] = { 0 }; /* compiled, interpreter, compiled on one thread */
+    strands side[3] = { 0 }; /* compiled, interpreter (on a GPU: the same again), compiled on one thread */
     for (int k = 0; k < 3; k++)
         side[k] = (strands){ .ctx = b->ctx[k < 2],
                              .n = 1,
@@ -235,7 +234,7 @@ void bench_energy(bench *b, const char *name)
                              .x = s.x[k < 2],
                              .gradient = s.gradient[k < 2],
                              .physics = { make(b->ctx[k < 2], 1, &name, &s.data,
-                                               k == 1 ? HG_BACKEND_INTERPRETER : HG_BACKEND_AUTO) } };
+                                               k == 1 && !b->device ? HG_BACKEND_INTERPRETER : HG_BACKEND_AUTO) } };
     bench_result r = { .same_bits = same_bits(&s, &side[2], &side[0]) };
     int64_t state[3];
     double ms;
@@ -248,7 +247,7 @@ void bench_energy(bench *b, const char *name)
     r.other_ms = race[1].median;
     snprintf(r.row, sizeof r.row, "%s, 3000 strands", name);
     snprintf(r.ours, sizeof r.ours, "%s", hg_physics_backend_name(side[0].physics[0]));
-    snprintf(r.other, sizeof r.other, "interpreter");
+    snprintf(r.other, sizeof r.other, "%s", b->device ? "itself" : "interpreter");
     bench_add(b, &r);
     for (int k = 0; k < 3; k++) hg_physics_destroy(side[k].physics[0]);
     free_scene(&s);
