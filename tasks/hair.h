@@ -5,6 +5,7 @@
  *   subset.c     strands of a step and their physics            sample.c     the batch of a step
  *   material.c   parameters of energies that are inputs of the network, or learnt
  *   network.c    what an output is, strands from the network    network_*.c  a family of networks each
+ *   inputs.c     what else energies ask for: materials, ghosts, deformations, orientations
  *   segments.c   lengths, turns and bends of strands
  *   hair_task.c  create, loss, validation, checkpoint           drape.c, metrics.c, solve.c
  */
@@ -32,6 +33,13 @@ hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config); /* wei
 bool hg_hair_is_usual_list(const hg_config *config,
                            const char *key); /* the list that stands there when nothing is written */
 hg_status hg_hair_terms_create(hg_hair_terms *terms, const hg_config *copy);
+
+/* What energies ask for beside positions; the names are of an energy that does, for messages. */
+typedef struct {
+    bool ghost;
+    const char *deformation, *q;
+} hg_hair_asks;
+hg_status hg_hair_asks_of(hg_hair_asks *asks, const hg_hair_terms *terms);
 
 /* ---- features of frames ------------------------------------------------------------------------------------- */
 
@@ -91,6 +99,7 @@ typedef struct {
     int64_t n;
     int32_t *strand;     /* [G,n] of the groom, ascending */
     hg_tensor *rest;     /* [G n,V,3] f32 */
+    hg_tensor *edges;    /* [G n,V-1,4] f32 their rest frames, where the task knows of orientations; else NULL */
     hg_tensor *features; /* [G n,strand_inputs] f32, normalised; of a network of grooms [G,strand_inputs] */
     int32_t *texel;      /* [G n] or NULL, as that of hg_hair_style */
     double *lengths;     /* [G n,V-1] rest edges */
@@ -127,21 +136,22 @@ typedef struct {
 
 /* ---- batch -------------------------------------------------------------------------------------------------- */
 
-/* Frames at three times: [t-2 of all frames | t-1 of all | t of all]. Pointers go into the same block. Bodies and roots are
- * posed when the batch is made where the task computes on the host; another device poses them in the step, from what moves the
- * body. */
+/* B frames in R runs of N consecutive ones, and the two times before each run, as rows [t-2 of all runs | t-1 of all runs |
+ * the frames of the first run, of the second, ..]: P = 2 R + B of them; with N = 1 these are [t-2 | t-1 | t] of all frames.
+ * Pointers go into the same block. Bodies and roots are posed when the batch is made where the task computes on the host;
+ * another device poses them in the step, from what moves the body. */
 typedef struct {
-    int64_t frames, strands, body_vertices;
-    int32_t *groom;   /* [3,B] of the subset's; frames of one groom stand together */
-    float *inputs;    /* [3,B,frame_inputs] normalised */
+    int64_t frames, runs, consecutive, rows, strands, body_vertices;
+    int32_t *groom;   /* [P] of the subset's; runs of one groom stand together */
+    float *inputs;    /* [P,frame_inputs] normalised */
     double *material; /* [B,materials] */
     /* host: */
-    float *rotation; /* [3,B,S,4] */
-    float *position; /* [3,B,S,3] */
-    float *body;     /* [B,N,3] at t */
+    float *rotation; /* [P,S,4] */
+    float *position; /* [P,S,3] */
+    float *body;     /* [B,N,3] of the frames */
     /* another device: */
-    float *shape;     /* [3,B,HG_SHAPES] */
-    float *transform; /* [3,B,J,12] */
+    float *shape;     /* [P,HG_SHAPES] */
+    float *transform; /* [P,J,12] */
 } hg_hair_batch;
 
 /* ---- network ------------------------------------------------------------------------------------------------ */
@@ -151,7 +161,15 @@ typedef struct {
     int64_t grooms, strands; /* strands of each */
     hg_tensor *rows;         /* [grooms strands,..]; of a network of grooms [grooms,..] */
     const int32_t *texel;    /* [grooms strands] the subset's, or NULL */
+    hg_tensor *edges;        /* the subset's */
 } hg_hair_part;
+
+/* Strands as a network or a solution has them. */
+typedef struct {
+    hg_tensor *x;    /* [B,S,V,3] */
+    hg_tensor *q;    /* [B,S,V-1,4] orientations of the edges; NULL: those of the posed groom */
+    hg_tensor *mean; /* [B,S,V,3] of x - posed over a run; NULL: over the batch's own runs */
+} hg_hair_strands;
 
 /* A family of networks, in one file each: what an architecture is told of grooms, and how strands come out of it. It is found from
  * what the architecture declares; nothing else in here knows which one it serves. */
@@ -197,7 +215,7 @@ struct hg_hair_task {
     const hg_groom *groom;       /* of styles[current] */
     hg_hair_clip_data *clips[2]; /* trained on, held out */
     int n_clips[2];
-    int64_t training_frames;
+    int64_t training_frames, consecutive; /* consecutive: frames of a run in a step */
     double rate, spread[HG_SHAPES];
 
     const hg_hair_network *network;
@@ -208,10 +226,11 @@ struct hg_hair_task {
 
     hg_hair_layout layout;
     int strand_inputs, inputs, outputs, pinned, latent;
-    int rest_columns; /* of the concatenated input, behind the strand's: only for directions */
-    bool directions;  /* outputs turn edges */
-    bool world;       /* displacements are along the axes of the world, not of the head at rest */
-    double output_scale;
+    int rest_columns;  /* of the concatenated input, behind the strand's: only for directions */
+    bool directions;   /* outputs turn edges */
+    bool orientations; /* the last 4 (V - pinned) outputs turn the frames of the edges */
+    bool world;        /* displacements, and turns, are along the axes of the world, not of the head at rest */
+    double output_scale, orientation_scale;
     double *mean, *deviation; /* [inputs] */
     hg_feature *features;     /* [inputs] */
     int n_features;
@@ -226,6 +245,7 @@ struct hg_hair_task {
     hg_tensor *mean_tensor, *inverse_deviation;
 
     hg_hair_terms terms;
+    hg_hair_asks asks;
     char *term_name[HG_HAIR_TERMS][3]; /* weighted, in joule, of a validation: for the log */
     double reference;                  /* m g L of the mean strand [J] */
     double clip_vertex;                /* largest force on a vertex that is learnt from [N]; 0: none */
@@ -263,11 +283,12 @@ void hg_hair_numbers_destroy(hg_hair_numbers *numbers);
 double hg_hair_reference_energy(const hg_hair_task *task, double *vertex_weight); /* J; N */
 hg_status hg_hair_evaluation_subset(hg_hair_task *task);                          /* made at the first call */
 
+int64_t hg_hair_batch_rows(const hg_hair_task *task, int64_t frames);
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands);
 hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int64_t frames, int64_t strands);
-/* Fills slot b of a batch: the clip at frame - 2, frame - 1 and frame, with a body shape and one of the subset's grooms. */
+/* Fills a run of a batch: the clip from frame - 2 to frame + N - 1, with a body shape and one of the subset's grooms. */
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
-                             int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
+                             int64_t run, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material);
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *batch);
 void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counter, double shape[HG_SHAPES]);
@@ -278,8 +299,6 @@ hg_status hg_hair_whole_model(hg_hair_task *task);
 void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, double *values);
 /* Fills the last raw columns of a frame; values NULL: those of a drape. */
 void hg_hair_material_features(const hg_hair_task *task, const double *values, float *frame);
-hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const double *values, int64_t frames,
-                                 int64_t strands, hg_frame *frame);
 void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx,
                            hg_report *report); /* of the step, read when it is logged */
 
@@ -292,10 +311,22 @@ void hg_hair_part_free(hg_hair_part *part); /* one that was kept */
  * strands are in rest [grooms S,V,3]; rotation [R,S,4], position [R,S,3]. Rows of one groom best stand together. */
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
                            hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position);
+/* The same with the orientations of their edges [R,S,V-1,4], where the network predicts any; else NULL. */
+hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                                 hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position,
+                                 hg_tensor **q);
 /* One frame of the strands of one groom without gradient: inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3]
  * -> x [n,V,3]. */
 hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);
+/* Frames q [V-1,4] of the edges of a rest strand [V,3], carried along it. */
+void hg_hair_edge_frames(const float *rest, int64_t vertices, float *q);
+/* The posed groom [B,S,V,3] of rest strands [S,V,3] or [B,S,V,3]; of the step. */
+hg_tensor *hg_hair_posed(hg_ctx *ctx, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position);
+/* What physics takes beside x, into the frame (whose groom and roots are there). materials [B,n_materials], NULL: those of a
+ * drape. Lives in the step. */
+hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset,
+                                 const double *materials, const hg_hair_strands *strands, hg_frame *frame);
 /* Adds the vertices of strands x [S,V,3] that are deeper than 0.1 mm in the body, roots left out. triangle [S,V] keeps
  * guesses from call to call, at first -1; the others [S,V,3] are scratch. */
 hg_status hg_hair_count_inside(hg_ctx *host, hg_body_refit *refit, int64_t S, int64_t V, const float *x,

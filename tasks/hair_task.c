@@ -23,7 +23,7 @@ static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hai
         if (strcmp(gravity->energy->name, "gravity")) continue;
         const int64_t n = task->terms.n;
         hg_tensor *roots = hg_tensor_make(ctx, HG_F64, 1, &n), *shift = hg_tensor_make(ctx, HG_F32, 0, NULL);
-        const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &batch->frames, batch->groom);
+        const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &batch->frames, batch->groom + 2 * batch->runs);
         if (!roots || !shift || !groom) return NULL;
         const root_gravity_args args = { .frames = batch->frames,
                                          .strands = batch->strands,
@@ -43,73 +43,96 @@ static hg_tensor *from_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hai
     return value;
 }
 
-/* Roots [3B,S,..] and bodies at t [B,N,3]: from the batch, or made here from what moves them. */
+/* Roots [P,S,..] and bodies at t [B,N,3]: from the batch, or made here from what moves them. */
 static hg_status bodies_and_roots(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch,
                                   const hg_hair_subset *subset, hg_tensor **rotation, hg_tensor **position,
                                   hg_tensor **body)
 {
-    const int64_t B = batch->frames, S = batch->strands;
+    const int64_t B = batch->frames, P = batch->rows, S = batch->strands;
     if (!batch->transform) {
-        *rotation = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 4 }, batch->rotation);
-        *position = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, S, 3 }, batch->position);
+        *rotation = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ P, S, 4 }, batch->rotation);
+        *position = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ P, S, 3 }, batch->position);
         *body = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ B, batch->body_vertices, 3 }, batch->body);
         return hg_ctx_status(ctx);
     }
-    const hg_tensor *shape = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, HG_SHAPES }, batch->shape);
+    const hg_tensor *shape = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ P, HG_SHAPES }, batch->shape);
     const hg_tensor *transform =
-        hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 3 * B, task->body->joints, 12 }, batch->transform);
-    const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &B, batch->groom);
+        hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ P, task->body->joints, 12 }, batch->transform);
+    const hg_tensor *groom = hg_tensor_from(ctx, HG_I32, 1, &P, batch->groom);
     hg_profile_begin(ctx, "sample", "body");
     hg_tensor *bodies = hg_pose_bodies(ctx, task->poser, shape, transform);
-    hg_profile_end(ctx, 36 * B * batch->body_vertices);
+    hg_profile_end(ctx, 12 * P * batch->body_vertices);
     hg_profile_begin(ctx, "sample", "roots");
     if (bodies && groom) HG_TRY(hg_roots_pose(ctx, subset->roots, groom, bodies, rotation, position));
-    hg_profile_end(ctx, 84 * B * S);
-    *body = hg_tensor_rows(ctx, bodies, 2 * B, B);
+    hg_profile_end(ctx, 28 * P * S);
+    *body = hg_tensor_rows(ctx, bodies, P - B, B);
     return hg_ctx_status(ctx);
+}
+
+/* x(t-1) and 2 x(t-1) - x(t-2) of the frames x [B,S,V,3]: of the two times before each run [2 R,S,V,3], and within a run of
+ * the frames before. */
+static void of_the_past(hg_ctx *ctx, const hg_hair_batch *batch, hg_tensor *past, hg_tensor *x, hg_tensor **previous,
+                        hg_tensor **predicted)
+{
+    const int64_t R = batch->runs, N = batch->consecutive;
+    hg_tensor *before = NULL;
+    *previous = NULL;
+    hg_no_grad_begin(ctx);
+    if (past && N == 1) {
+        before = hg_tensor_rows(ctx, past, 0, R);
+        *previous = hg_tensor_rows(ctx, past, R, R);
+    } else if (past && x) {
+        const int64_t row = hg_tensor_count(x) / x->shape[0];
+        hg_tensor *parts[3] = { hg_reshape(ctx, hg_tensor_rows(ctx, past, 0, R), 3, (int64_t[]){ R, 1, row }),
+                                hg_reshape(ctx, hg_tensor_rows(ctx, past, R, R), 3, (int64_t[]){ R, 1, row }),
+                                hg_reshape(ctx, x, 3, (int64_t[]){ R, N, row }) };
+        hg_tensor *times = hg_concat(ctx, 1, 3, parts); /* [R,N+2,row] */
+        before = hg_reshape(ctx, hg_slice(ctx, times, 1, 0, N), 4, x->shape);
+        *previous = hg_reshape(ctx, hg_slice(ctx, times, 1, 1, N), 4, x->shape);
+    }
+    *predicted = hg_sub(ctx, hg_scale(ctx, *previous, 2, 0), before);
+    hg_no_grad_end(ctx);
 }
 
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch, hg_hair_subset *subset,
                           hg_tensor **unweighted)
 {
-    const int64_t B = batch->frames, S = batch->strands, F = task->layout.frame_inputs;
-    hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 3 * B, F }, batch->inputs);
+    const int64_t B = batch->frames, past_rows = batch->rows - B, S = batch->strands, F = task->layout.frame_inputs;
+    hg_tensor *inputs = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ batch->rows, F }, batch->inputs);
     hg_tensor *rotation, *position, *body;
     if (!inputs || bodies_and_roots(task, ctx, batch, subset, &rotation, &position, &body) != HG_OK) return NULL;
 
-    /* What belongs to the strands, or to their groom, is the same at the three times. */
+    /* What belongs to the strands, or to their groom, is the same at all times. */
     const hg_hair_part part = hg_hair_part_of(task, ctx, subset);
     hg_no_grad_begin(ctx);
-    hg_tensor *past = hg_tensor_make(ctx, HG_F32, 4, (int64_t[]){ 2 * B, S, task->groom->vertices, 3 });
+    hg_tensor *past = hg_tensor_make(ctx, HG_F32, 4, (int64_t[]){ past_rows, S, task->groom->vertices, 3 });
     const hg_step_mark mark = hg_step_set_mark(ctx);
     const int recorded = hg_tape_count(ctx);
     const hg_tensor *made =
-        hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 0, 2 * B), subset->rest,
-                        hg_tensor_rows(ctx, rotation, 0, 2 * B), hg_tensor_rows(ctx, position, 0, 2 * B));
+        hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 0, past_rows), subset->rest,
+                        hg_tensor_rows(ctx, rotation, 0, past_rows), hg_tensor_rows(ctx, position, 0, past_rows));
     if (!made || !past || hg_tensor_copy(past, made) != HG_OK) past = NULL;
     if (hg_tape_count(ctx) == recorded) hg_step_rewind(ctx, mark); /* nothing else of it is needed again */
-    hg_tensor *previous = past ? hg_tensor_rows(ctx, past, B, B) : NULL;
-    hg_tensor *before = past ? hg_tensor_rows(ctx, past, 0, B) : NULL;
-    hg_tensor *predicted = hg_sub(ctx, hg_scale(ctx, previous, 2, 0), before);
     hg_no_grad_end(ctx);
 
-    hg_tensor *now_rotation = hg_tensor_rows(ctx, rotation, 2 * B, B),
-              *now_position = hg_tensor_rows(ctx, position, 2 * B, B);
-    hg_tensor *x = hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 2 * B, B), subset->rest,
-                                   now_rotation, now_position);
-    hg_frame frame = { .groom = batch->groom,
-                       .root_rotation = now_rotation,
-                       .root_position = now_position,
-                       .predicted = predicted,
-                       .previous = previous,
+    const int32_t *groom = batch->groom + past_rows;
+    hg_frame frame = { .groom = groom,
+                       .root_rotation = hg_tensor_rows(ctx, rotation, past_rows, B),
+                       .root_position = hg_tensor_rows(ctx, position, past_rows, B),
                        .body_vertices = body,
-                       .dt = 1 / task->rate };
-    if (hg_hair_physics_inputs(task, ctx, batch->material, B, S, &frame) != HG_OK) return NULL;
-    if (task->clip_vertex > 0) x = hg_clip_gradient(ctx, x, task->clip_vertex / ((double)(B * S) * task->reference));
-    hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, x, NULL);
+                       .dt = 1 / task->rate,
+                       .consecutive = batch->consecutive };
+    hg_hair_strands now = { 0 };
+    now.x = hg_hair_predict_edges(task, ctx, &part, groom, hg_tensor_rows(ctx, inputs, past_rows, B), subset->rest,
+                                  frame.root_rotation, frame.root_position, &now.q);
+    of_the_past(ctx, batch, past, now.x, &frame.previous, &frame.predicted);
+    if (task->clip_vertex > 0)
+        now.x = hg_clip_gradient(ctx, now.x, task->clip_vertex / ((double)(B * S) * task->reference));
+    if (!now.x || hg_hair_physics_inputs(task, ctx, subset, batch->material, &now, &frame) != HG_OK) return NULL;
+    hg_tensor *energy = hg_physics_energy(subset->physics, ctx, &frame, now.x, NULL);
     if (!energy) return NULL;
     *unweighted = hg_physics_unweighted(subset->physics);
-    return from_roots(task, ctx, batch, subset, now_position, energy, unweighted);
+    return from_roots(task, ctx, batch, subset, frame.root_position, energy, unweighted);
 }
 
 static hg_tensor *loss(void *self, hg_ctx *ctx, hg_model *model, const void *bytes, hg_report *report)
@@ -146,18 +169,19 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
     (void)model;
     const int held_out = task->n_clips[1] > 0;
     int64_t frames = 0;
-    for (int i = 0; i < task->n_clips[held_out]; i++) frames += task->clips[held_out][i].motion->frames;
-    const int64_t n = hg_config_integer(task->config, "training.validation_frames");
+    const int64_t N = task->consecutive;
+    for (int i = 0; i < task->n_clips[held_out]; i++) frames += task->clips[held_out][i].motion->frames - (N - 1);
+    const int64_t n = (hg_config_integer(task->config, "training.validation_frames") + N - 1) / N; /* runs */
     double total = 0, terms[HG_HAIR_TERMS] = { 0 };
-    hg_hair_batch *batch = hg_hair_batch_lay_out(task, task->validation_batch, 1, task->subset.n);
+    hg_hair_batch *batch = hg_hair_batch_lay_out(task, task->validation_batch, N, task->subset.n);
     if (task->compute != HG_F32) HG_TRY(hg_ctx_compute(ctx, HG_F32));
     hg_no_grad_begin(ctx);
     hg_status status = HG_OK;
     for (int64_t k = 0; status == HG_OK && k < n; k++) {
         int64_t frame = (2 * k + 1) * frames / (2 * n);
         int clip = 0;
-        while (frame >= task->clips[held_out][clip].motion->frames)
-            frame -= task->clips[held_out][clip++].motion->frames;
+        while (frame >= task->clips[held_out][clip].motion->frames - (N - 1))
+            frame -= task->clips[held_out][clip++].motion->frames - (N - 1);
         double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS], material[HG_HAIR_MATERIALS];
         hg_tensor *joule;
         hg_hair_held_out_shape(task, k, shape);
@@ -171,7 +195,8 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         if (status != HG_OK || !value) break;
         total += hg_tensor_item(value, 0) / (double)n;
         for (int i = 0; i < task->terms.n; i++)
-            terms[i] += task->terms.term[i].weight * unweighted[i] / ((double)(n * task->subset.n) * task->reference);
+            terms[i] +=
+                task->terms.term[i].weight * unweighted[i] / ((double)(n * N * task->subset.n) * task->reference);
     }
     hg_no_grad_end(ctx);
     if (status != HG_OK) return status;
@@ -378,11 +403,37 @@ static hg_train_options train_options(const hg_hair_task *task)
     return options;
 }
 
-/* Materials that are given in every call make another kernel than the config's numbers do: the first call makes it, and says
+/* Runs of consecutive frames: they have to fill a step and to fit into every clip. */
+static hg_status check_runs(const hg_hair_task *task)
+{
+    const hg_config *config = task->config;
+    const char *const key = "training.consecutive";
+    const long long N = task->consecutive, B = hg_config_integer(config, "training.frames");
+    if (B % N)
+        return hg_fail(HG_INVALID, "%s:%d: %s: the %lld frames of a step (training.frames) are not whole runs of %lld",
+                       hg_config_name(config), hg_config_line(config, key), key, B, N);
+    for (int held_out = 0; held_out < 2; held_out++)
+        for (int i = 0; i < task->n_clips[held_out]; i++) {
+            const hg_motion *motion = task->clips[held_out][i].motion;
+            if (motion->frames < N)
+                return hg_fail(HG_INVALID,
+                               "%s:%d: %s: a run of %lld frames does not fit into the %lld of the motion %s",
+                               hg_config_name(config), hg_config_line(config, key), key, N, (long long)motion->frames,
+                               motion->name ? motion->name : "");
+        }
+    if (task->asks.deformation && N == 1 && !task->opened)
+        return hg_fail(HG_INVALID, "%s:%d: %s: %s compares frames that follow each other, and is zero with runs of 1",
+                       hg_config_name(config), hg_config_line(config, key), key, task->asks.deformation);
+    return HG_OK;
+}
+
+/* What is given in every call makes another kernel than the config's numbers do: the first call makes it, and says
  * what runs it, which a checkpoint keeps. */
 static hg_status first_call(hg_hair_task *task)
 {
-    if (task->opened || !(task->n_materials + task->n_learnt)) return HG_OK;
+    const hg_hair_asks *asks = &task->asks;
+    if (task->opened || !(task->n_materials + task->n_learnt || asks->ghost || asks->deformation || asks->q))
+        return HG_OK;
     void *batch = hg_alloc(1, task->batch_bytes);
     if (!batch) return HG_MEMORY;
     hg_tensor *joule;
@@ -403,11 +454,14 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     if (!task->opened) HG_TRY(find_start(task));
     HG_TRY(take_compute(task));
     HG_TRY(hg_hair_terms_create(&task->terms, task->config));
+    HG_TRY(hg_hair_asks_of(&task->asks, &task->terms));
     HG_TRY(name_terms(task));
+    task->consecutive = hg_config_integer(task->config, "training.consecutive");
     HG_TRY(hg_hair_materials_create(task));
     HG_TRY(hg_hair_network_find(task));
     HG_TRY(hg_hair_world_create(task, progress));
     HG_TRY(tell_left_out(task, progress));
+    HG_TRY(check_runs(task));
     HG_TRY(hg_hair_encoder_create(task, progress));
     HG_TRY(hg_hair_features_create(task));
     task->reference = hg_hair_reference_energy(task, &task->clip_vertex);
@@ -417,7 +471,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     hg_progress_report(progress, 0, "physics");
     HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));
     task->batch_bytes = hg_hair_batch_bytes(task, hg_config_integer(task->config, "training.frames"), task->subset.n);
-    task->validation_batch = hg_alloc(1, hg_hair_batch_bytes(task, 1, task->subset.n));
+    task->validation_batch = hg_alloc(1, hg_hair_batch_bytes(task, task->consecutive, task->subset.n));
     if (!task->validation_batch) return HG_MEMORY;
     task->task = (hg_task){ .self = task,
                             .batch_bytes = task->batch_bytes,

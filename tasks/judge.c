@@ -6,13 +6,17 @@
 
 /* ---- energies of the config as they are now ---------------------------------------------------------------------- */
 
-static hg_status looks_back(const hg_term *term, bool *moves)
+/* moves: an energy looks at the frames before. of_network: it is about what a network makes of several frames (pose_reg). */
+static hg_status looks_back(const hg_term *term, bool *moves, bool *of_network)
 {
     hg_energy_inputs inputs;
     HG_TRY(hg_energy_asks(term->energy, term->options, false, &inputs));
-    *moves = false;
-    for (int i = 0; i < inputs.n; i++)
-        *moves |= !strcmp(inputs.input[i].name, "predicted") || !strcmp(inputs.input[i].name, "previous");
+    *moves = *of_network = false;
+    for (int i = 0; i < inputs.n; i++) {
+        const char *name = inputs.input[i].name;
+        *moves |= !strcmp(name, "predicted") || !strcmp(name, "previous");
+        *of_network |= !strcmp(name, "deformation");
+    }
     return HG_OK;
 }
 
@@ -30,9 +34,9 @@ hg_status hg_hair_terms_now(hg_hair_task *task, bool moving, double params[HG_HA
 {
     *n = 0;
     for (int t = 0; t < task->terms.n; t++) {
-        bool moves;
-        HG_TRY(looks_back(&task->terms.term[t], &moves));
-        if (moves && !moving) continue;
+        bool moves, of_network;
+        HG_TRY(looks_back(&task->terms.term[t], &moves, &of_network));
+        if (of_network || (moves && !moving)) continue;
         const int k = (*n)++;
         column[k] = t;
         term[k] = task->terms.term[t];
@@ -51,8 +55,8 @@ hg_status hg_hair_is_dynamic(hg_hair_task *task, bool *dynamic)
 {
     *dynamic = false;
     for (int t = 0; t < task->terms.n; t++) {
-        bool moves;
-        HG_TRY(looks_back(&task->terms.term[t], &moves));
+        bool moves, of_network;
+        HG_TRY(looks_back(&task->terms.term[t], &moves, &of_network));
         *dynamic |= moves;
     }
     return HG_OK;
@@ -152,6 +156,13 @@ hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *
         hg_tensor_touch(j->predicted);
         frame.previous = j->before;
         frame.predicted = j->predicted;
+    }
+    hg_frame_input ghost = { "ghost", NULL };
+    if (j->task->asks.ghost) {
+        hg_tensor *rest = hg_tensor_from(j->ctx, HG_F64, 3, (int64_t[]){ j->S, j->V, 3 }, j->numbers.rest);
+        ghost.value = hg_hair_posed(j->ctx, rest, j->root_rotation, j->root_position);
+        if (!ghost.value) return hg_ctx_status(j->ctx);
+        frame.inputs = &ghost, frame.n_inputs = 1;
     }
     HG_TRY(hg_physics_evaluate(j->physics[moving], j->ctx, &frame, j->x, terms, NULL, NULL));
     for (int i = 0; i < j->n_terms[moving]; i++) {

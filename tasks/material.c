@@ -178,33 +178,6 @@ hg_status hg_hair_material_at(const hg_hair_task *task, int i, const char **name
     return HG_OK;
 }
 
-/* What physics takes instead of the config's numbers. values [frames,n_materials], NULL: those of a drape. Lives in the step. */
-hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const double *values, int64_t frames,
-                                 int64_t strands, hg_frame *frame)
-{
-    const int n = task->n_materials + task->n_learnt;
-    if (n == 0) return HG_OK;
-    hg_frame_input *inputs = hg_step_alloc(ctx, (size_t)n * sizeof *inputs);
-    if (!inputs) return hg_ctx_status(ctx);
-    for (int i = 0; i < task->n_materials; i++) {
-        float *out = hg_step_alloc(ctx, (size_t)(frames * strands) * sizeof *out);
-        if (!out) return hg_ctx_status(ctx);
-        for (int64_t b = 0; b < frames; b++)
-            for (int64_t s = 0; s < strands; s++)
-                out[b * strands + s] = (float)(values ? values[b * task->n_materials + i] : task->materials[i].value);
-        inputs[i].name = task->materials[i].name;
-        inputs[i].value = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ frames, strands }, out);
-        if (!inputs[i].value) return hg_ctx_status(ctx);
-    }
-    for (int i = 0; i < task->n_learnt; i++)
-        inputs[task->n_materials + i] =
-            (hg_frame_input){ task->learnt[i].name,
-                              hg_scale(ctx, hg_exp(ctx, task->learnt[i].theta), task->learnt[i].start, 0) };
-    frame->inputs = inputs;
-    frame->n_inputs = n;
-    return HG_OK;
-}
-
 void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx, hg_report *report)
 {
     hg_no_grad_begin(ctx);

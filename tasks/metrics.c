@@ -17,7 +17,9 @@ static const double still = 0.02; /* m/s: slower posed tips say nothing of lag *
 typedef struct {
     hg_tensor *now, *before, *older; /* [1,S,V,3] */
     float *x;                        /* now, on the host */
-    int32_t *triangle;               /* [S V] guesses of the closest face */
+    hg_tensor *q;                    /* of the step, see hg_hair_strands */
+    hg_tensor *mean;
+    int32_t *triangle; /* [S V] guesses of the closest face */
     double energy[HG_HAIR_TERMS];
     int64_t inside, vertices;
     float *tips; /* [T,tips,3] motion about the head from frame to frame */
@@ -48,6 +50,7 @@ static void side_free(side *s)
     hg_tensor_destroy(s->now);
     hg_tensor_destroy(s->before);
     hg_tensor_destroy(s->older);
+    hg_tensor_destroy(s->mean);
     hg_free(s->x);
     hg_free(s->triangle);
     hg_free(s->tips);
@@ -135,15 +138,37 @@ static hg_status strands_of(evaluation *e, int64_t frame)
                         .dt = 1 / task->rate };
     hg_no_grad_begin(e->ctx);
     const hg_tensor *x =
-        hg_hair_predict(task, e->ctx, &e->part, NULL,
-                        hg_tensor_from(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
-                        subset->rest, e->at.root_rotation, e->at.root_position);
+        hg_hair_predict_edges(task, e->ctx, &e->part, NULL,
+                              hg_tensor_from(e->ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, e->inputs),
+                              subset->rest, e->at.root_rotation, e->at.root_position, &e->net.q);
     hg_no_grad_end(e->ctx);
     HG_TRY(hg_ctx_status(e->ctx));
     HG_TRY(hg_tensor_copy(e->net.now, x));
     HG_TRY(hg_tensor_read(x, e->net.x));
     hg_pose_strands(e->ctx, S, V, e->rest, e->rotation, e->position, e->posed.x);
     return hg_tensor_write(e->posed.now, e->posed.x);
+}
+
+/* The mean deformation of the network's strands over the run of frames that begins here: a clip is cut into runs as long as
+ * those of training, the last one as long as is left. */
+static hg_status mean_of_run(evaluation *e, int64_t first)
+{
+    const int64_t n = e->task->consecutive, last = first + n < e->frames ? first + n : e->frames,
+                  numbers = hg_tensor_count(e->net.now);
+    if (!e->net.mean) e->net.mean = hg_tensor_create(e->ctx, HG_F32, 4, e->net.now->shape);
+    double *sum = hg_alloc((size_t)numbers, sizeof *sum);
+    float *mean = hg_alloc((size_t)numbers, sizeof *mean);
+    hg_status status = e->net.mean && sum && mean ? HG_OK : HG_MEMORY;
+    for (int64_t frame = first; status == HG_OK && frame < last; frame++) {
+        hg_step_reset(e->ctx);
+        status = strands_of(e, frame);
+        for (int64_t i = 0; i < numbers; i++) sum[i] += (double)e->net.x[i] - (double)e->posed.x[i];
+    }
+    for (int64_t i = 0; status == HG_OK && i < numbers; i++) mean[i] = (float)(sum[i] / (double)(last - first));
+    if (status == HG_OK) status = hg_tensor_write(e->net.mean, mean);
+    hg_free(sum);
+    hg_free(mean);
+    return status;
 }
 
 static hg_status energies(evaluation *e, side *s, double *terms)
@@ -154,7 +179,8 @@ static hg_status energies(evaluation *e, side *s, double *terms)
     frame.predicted = hg_sub(e->ctx, hg_scale(e->ctx, s->before, 2, 0), s->older);
     hg_no_grad_end(e->ctx);
     if (!frame.predicted) return hg_ctx_status(e->ctx);
-    HG_TRY(hg_hair_physics_inputs(e->task, e->ctx, NULL, 1, e->task->evaluation.n, &frame));
+    const hg_hair_strands strands = { .x = s->now, .q = s->q, .mean = s->mean };
+    HG_TRY(hg_hair_physics_inputs(e->task, e->ctx, &e->task->evaluation, NULL, &strands, &frame));
     return hg_physics_evaluate(e->task->evaluation.physics, e->ctx, &frame, s->now, terms, NULL, NULL);
 }
 
@@ -222,6 +248,8 @@ static void turn_over(side *s)
 static hg_status one_frame(evaluation *e, int64_t frame)
 {
     hg_hair_task *task = e->task;
+    if (task->asks.deformation && task->consecutive > 1 && frame % task->consecutive == 0)
+        HG_TRY(mean_of_run(e, frame));
     hg_step_reset(e->ctx);
     HG_TRY(strands_of(e, frame));
     side *const sides[2] = { &e->net, &e->posed };

@@ -18,7 +18,8 @@ hg_status hg_hair_network_find(hg_hair_task *task)
  *   edges        displacements of edges, so that a vertex moves by the sum of the edges before it
  *   directions   changes of the unit directions of edges, which keep their lengths (hg_turn_edges)
  * The first two are one constant matrix [outputs,(V-1)*3] after the network. With two vertices pinned the first edge stays
- * as it is. */
+ * as it is. Behind them, with orientations, stand four numbers for each of these edges: what its frame's turn differs from
+ * none by. */
 static hg_status make_output(hg_hair_task *task)
 {
     const hg_config *config = task->config;
@@ -28,7 +29,14 @@ static hg_status make_output(hg_hair_task *task)
     if (task->pinned >= V)
         return hg_fail(HG_INVALID, "%s:%d: model.pinned: %d of %lld vertices are pinned: nothing is left to move",
                        hg_config_name(config), hg_config_line(config, "model.pinned"), task->pinned, (long long)V);
-    task->outputs = (int)(V - task->pinned) * 3;
+    const int64_t moved = (V - task->pinned) * 3;
+    task->orientations = !strcmp(hg_config_text(config, "model.orientations"), "yes");
+    task->orientation_scale = hg_config_number(config, "model.orientation_scale");
+    if (task->asks.q && !task->orientations)
+        return hg_fail(HG_INVALID,
+                       "%s:%d: model.orientations: %s asks for the orientations of edges, and this network has none",
+                       hg_config_name(config), hg_config_line(config, "model.orientations"), task->asks.q);
+    task->outputs = (int)(V - task->pinned) * (task->orientations ? 7 : 3);
     task->directions = !strcmp(output, "directions");
     task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
     task->world = !strcmp(hg_config_text(config, "model.space"), "world");
@@ -38,11 +46,11 @@ static hg_status make_output(hg_hair_task *task)
                        "turned in the head's space",
                        hg_config_name(config), hg_config_line(config, "model.space"));
     if (task->directions) return HG_OK;
-    task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ task->outputs, columns });
+    task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ moved, columns });
     if (!task->output_map) return HG_MEMORY;
     task->output_map->name = "output_map";
-    float *map = hg_alloc((size_t)(task->outputs * columns), sizeof *map);
-    for (int64_t i = 0; map && i < task->outputs; i++)
+    float *map = hg_alloc((size_t)(moved * columns), sizeof *map);
+    for (int64_t i = 0; map && i < moved; i++)
         for (int64_t column = i + (task->pinned - 1) * 3; column < columns; column += 3) {
             map[i * columns + column] = (float)task->output_scale;
             if (!strcmp(output, "vertices")) break;
@@ -79,6 +87,8 @@ static hg_tensor *displacements(const hg_hair_task *task, hg_ctx *ctx, hg_tensor
     if (!outputs) return NULL;
     const int64_t V = task->groom->vertices;
     const bool framed = outputs->rank == 3;
+    if (task->orientations) outputs = hg_slice(ctx, outputs, outputs->rank - 1, 0, (V - task->pinned) * 3);
+    if (!outputs) return NULL;
     const int64_t edges = task->directions ? V - task->pinned : V - 1;
     hg_tensor *d =
         task->directions ? hg_scale(ctx, outputs, task->output_scale, 0) : hg_matmul(ctx, outputs, task->output_map);
@@ -96,12 +106,39 @@ static hg_tensor *place(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *d, hg_
     return hg_add(ctx, hg_pad(ctx, d, 2, 1, 0), posed);
 }
 
+/* [..,S,outputs] -> the turns of the frames [..,S,V-1,4] in head rest space: 1 where the output is zero, or the edge pinned. */
+static hg_tensor *turns(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs)
+{
+    if (!outputs) return NULL;
+    const int64_t edges = task->groom->vertices - task->pinned, four = 4;
+    const int last = outputs->rank - 1;
+    int64_t shape[4] = { 0 };
+    for (int i = 0; i < last; i++) shape[i] = outputs->shape[i];
+    shape[last] = edges, shape[last + 1] = 4;
+    hg_tensor *o = hg_slice(ctx, outputs, last, edges * 3, edges * 4);
+    o = hg_scale(ctx, hg_reshape(ctx, o, last + 2, shape), task->orientation_scale, 0);
+    if (task->pinned > 1) o = hg_pad(ctx, o, last, task->pinned - 1, 0);
+    return hg_add(ctx, o, hg_tensor_from(ctx, HG_F32, 1, &four, (float[]){ 1, 0, 0, 0 }));
+}
+
+/* R o q0, or o R q0 where the axes are the world's, of rows with the roots' rotation [rows,S,4], rest frames q0 [S,V-1,4]. */
+static hg_tensor *edge_frames(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rotation,
+                              hg_tensor *edges)
+{
+    if (!outputs || !rotation) return NULL;
+    hg_tensor *root = hg_reshape(ctx, rotation, 4, (int64_t[]){ rotation->shape[0], rotation->shape[1], 1, 4 });
+    hg_tensor *o = turns(task, ctx, outputs);
+    return task->world ? hg_quat_mul(ctx, o, hg_quat_mul(ctx, root, edges))
+                       : hg_quat_mul(ctx, root, hg_quat_mul(ctx, o, edges));
+}
+
 hg_hair_part hg_hair_part_of(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
 {
     return (hg_hair_part){ .grooms = subset->grooms,
                            .strands = subset->n,
                            .rows = task->network->part(task, ctx, subset->features),
-                           .texel = subset->texel };
+                           .texel = subset->texel,
+                           .edges = subset->edges };
 }
 
 hg_status hg_hair_part_keep(hg_hair_part *part, const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
@@ -123,29 +160,50 @@ void hg_hair_part_free(hg_hair_part *part)
     *part = (hg_hair_part){ 0 };
 }
 
+/* n pieces along axis 0, with one more: as many as a concatenation takes are made one. */
+static void add_piece(hg_ctx *ctx, hg_tensor **pieces, int *n, hg_tensor *piece)
+{
+    if (*n == HG_OP_INPUTS) {
+        pieces[0] = hg_concat(ctx, 0, *n, pieces);
+        *n = 1;
+    }
+    pieces[(*n)++] = piece;
+}
+
 hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
                            hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position)
 {
+    return hg_hair_predict_edges(task, ctx, part, groom, inputs, rest, rotation, position, NULL);
+}
+
+hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                                 hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position,
+                                 hg_tensor **q)
+{
+    if (q) *q = NULL;
     if (!inputs || !part->rows || !rest || !rotation || !position) return NULL;
     const hg_hair_network *network = task->network;
     const int64_t R = inputs->shape[0], S = part->strands;
     hg_tensor *whole = network->images ? network->images(task, ctx, part, groom, inputs) : inputs;
-    hg_tensor *pieces[HG_OP_INPUTS];
-    int n = 0;
+    const bool with_edges = q && task->orientations && part->edges;
+    hg_tensor *pieces[HG_OP_INPUTS], *edges[HG_OP_INPUTS];
+    int n = 0, n_edges = 0;
     for (int64_t row = 0, end; row < R; row = end) {
         const int32_t g = groom ? groom[row] : 0;
         for (end = row + 1; end < R && (!groom || groom[end] == g); end++) {
         }
         hg_tensor *out = network->outputs(task, ctx, part, whole, row, end - row, g);
         hg_tensor *of = part->grooms == 1 ? rest : hg_tensor_rows(ctx, rest, g * S, S);
-        if (n == HG_OP_INPUTS) {
-            pieces[0] = hg_concat(ctx, 0, n, pieces);
-            n = 1;
-        }
-        pieces[n++] =
-            place(task, ctx, displacements(task, ctx, out, of), of, hg_tensor_rows(ctx, rotation, row, end - row),
-                  hg_tensor_rows(ctx, position, row, end - row));
+        hg_tensor *turned = hg_tensor_rows(ctx, rotation, row, end - row);
+        add_piece(ctx, pieces, &n,
+                  place(task, ctx, displacements(task, ctx, out, of), of, turned,
+                        hg_tensor_rows(ctx, position, row, end - row)));
+        if (!with_edges) continue;
+        add_piece(ctx, edges, &n_edges,
+                  edge_frames(task, ctx, out, turned,
+                              part->grooms == 1 ? part->edges : hg_tensor_rows(ctx, part->edges, g * S, S)));
     }
+    if (with_edges) *q = n_edges == 1 ? edges[0] : hg_concat(ctx, 0, n_edges, edges);
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
 

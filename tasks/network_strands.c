@@ -3,7 +3,7 @@
  *
  * z_rest is the code of the rest strand, seen from its root in head rest space, by an autoencoder of all strands of the grooms.
  * z_lock is the mean code of the strand's lock; locks belong to the FULL groom, so that a strand has the same features whichever
- * strands are drawn with it. */
+ * strands are drawn with it. `features.locks: false` leaves it out. */
 #include "tasks/hair.h"
 
 #include <math.h>
@@ -81,11 +81,14 @@ static hg_status train_encoder(hg_hair_task *task, const hg_progress *progress)
     return status;
 }
 
+/* Of the strand, and of its lock. */
+static int codes(const hg_hair_task *task) { return hg_config_flag(task->config, "features.locks") ? 2 : 1; }
+
 static hg_status make_encoder(hg_hair_task *task)
 {
     const int inputs = (int)(task->groom->vertices - 1) * 3;
     task->latent = (int)hg_config_integer(task->config, "features.latent");
-    task->strand_inputs = 2 + 2 * task->latent;
+    task->strand_inputs = 2 + codes(task) * task->latent;
     const hg_model_spec spec = { .inputs = inputs,
                                  .outputs = inputs,
                                  .width = (int)hg_config_integer(task->config, "features.encoder_width"),
@@ -145,7 +148,6 @@ static hg_status lock_codes(const hg_hair_task *task, hg_hair_style *style)
     for (int64_t s = 0; s < groom->strands; s++) {
         float *row = style->raw + s * width;
         const int32_t lock = style->lock[s];
-        row[0] = groom->root_uv[2 * s], row[1] = groom->root_uv[2 * s + 1];
         for (int k = 0; k < latent; k++) row[2 + latent + k] = (float)(sum[lock * latent + k] / (double)members[lock]);
     }
     hg_free(sum);
@@ -156,7 +158,9 @@ static hg_status lock_codes(const hg_hair_task *task, hg_hair_style *style)
 static hg_status encode(hg_hair_task *task, hg_hair_style *style)
 {
     HG_TRY(strand_codes(task, style));
-    return lock_codes(task, style);
+    for (int64_t s = 0; s < style->groom->strands; s++)
+        memcpy(style->raw + s * task->strand_inputs, style->groom->root_uv + 2 * s, 2 * sizeof *style->raw);
+    return codes(task) == 2 ? lock_codes(task, style) : HG_OK;
 }
 
 /* ---- features ----------------------------------------------------------------------------------------------- */
@@ -187,7 +191,7 @@ static hg_status name_features(hg_hair_task *task)
 {
     const char axis_uv[2] = { 'u', 'v' };
     for (int k = 0; k < 2; k++) HG_TRY(hg_hair_add_feature(task, hg_format("root_uv.%c", axis_uv[k]), 0.5, 0.29));
-    for (int part = 0; part < 2; part++) {
+    for (int part = 0; part < codes(task); part++) {
         double largest = 0, mean, deviation;
         for (int k = 0; k < task->latent; k++) {
             strand_moments(task, 2 + part * task->latent + k, 0, &mean, &deviation);

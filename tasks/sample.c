@@ -1,5 +1,7 @@
 /* sample: the batch of a step, from (seed, step) alone: which clip and frame, which body shape; the body and the roots of
- * the strands at t-2, t-1 and t, or what moves them there. A clip starts at rest: its first frame stands for every time before it. */
+ * the strands at t-2, t-1 and t, or what moves them there. A clip starts at rest: its first frame stands for every time before it.
+ * With `training.consecutive` frames come in runs of a clip, one after another with one body, groom and material: t-1 of a
+ * frame is the t of the one before it, and is not made again. */
 #include "tasks/hair.h"
 
 #include <math.h>
@@ -10,7 +12,7 @@ enum { STREAM_FRAME = 7200, STREAM_SHAPE = 7201, STREAM_GROOM = 7202, FRAMES = 2
 enum { INPUTS, ROTATION, POSITION, BODY, SHAPE, TRANSFORM, PARTS };
 static void measure(const hg_hair_task *task, int64_t frames, int64_t strands, int64_t floats[PARTS])
 {
-    const int64_t times = 3 * frames;
+    const int64_t times = hg_hair_batch_rows(task, frames);
     const bool host = hg_ctx_host(task->ctx);
     floats[INPUTS] = times * task->layout.frame_inputs;
     floats[ROTATION] = host ? times * strands * 4 : 0;
@@ -20,11 +22,16 @@ static void measure(const hg_hair_task *task, int64_t frames, int64_t strands, i
     floats[TRANSFORM] = host ? 0 : times * task->body->joints * 12;
 }
 
+int64_t hg_hair_batch_rows(const hg_hair_task *task, int64_t frames)
+{
+    return frames + 2 * (frames / task->consecutive);
+}
+
 size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t strands)
 {
     int64_t floats[PARTS];
-    size_t bytes = sizeof(hg_hair_batch) + 64 +
-                   (size_t)frames * (3 * sizeof(int32_t) + (size_t)task->n_materials * sizeof(double)) + 2 * 64;
+    size_t bytes = sizeof(hg_hair_batch) + 64 + (size_t)hg_hair_batch_rows(task, frames) * sizeof(int32_t) +
+                   (size_t)(frames * task->n_materials) * sizeof(double) + 2 * 64;
     measure(task, frames, strands, floats);
     for (int i = 0; i < PARTS; i++) bytes += (size_t)floats[i] * sizeof(float) + 64;
     return bytes;
@@ -46,6 +53,9 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
     measure(task, frames, strands, floats);
     for (int i = 0; i < PARTS; i++) part[i] = floats[i] ? take(&at, floats[i]) : NULL;
     *batch = (hg_hair_batch){ .frames = frames,
+                              .runs = frames / task->consecutive,
+                              .consecutive = task->consecutive,
+                              .rows = hg_hair_batch_rows(task, frames),
                               .strands = strands,
                               .body_vertices = task->body_vertices,
                               .inputs = part[INPUTS],
@@ -54,43 +64,46 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
                               .body = part[BODY],
                               .shape = part[SHAPE],
                               .transform = part[TRANSFORM] };
-    batch->groom = (int32_t *)(void *)take(&at, 3 * frames);
+    batch->groom = (int32_t *)(void *)take(&at, batch->rows);
     batch->material = (double *)(void *)take(&at, 2 * frames * task->n_materials);
     return batch;
 }
 
-/* The body and the roots of slot `slot`: made here, or what a device makes them from. */
-static hg_status pose_slot(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
-                           int64_t slot, int64_t b, int32_t groom, const hg_motion *motion, int64_t frame,
-                           const double *shape)
+/* The body and the roots of a row: made here, or what a device makes them from. */
+static hg_status pose_row(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
+                          int64_t row, const hg_motion *motion, int64_t frame, const double *shape)
 {
-    const int64_t S = batch->strands;
+    const int64_t S = batch->strands, b = row - 2 * batch->runs;
+    const int32_t groom = batch->groom[row];
     if (frame < 0) frame = 0;
     if (batch->transform)
-        return hg_pose_joints(task->poser, shape, motion, frame, batch->shape + slot * HG_SHAPES,
-                              batch->transform + slot * task->body->joints * 12);
-    /* The last body posed is that of t, which is the one that hair touches. */
-    float *body = slot / batch->frames == 2 ? batch->body + b * task->body_vertices * 3 : task->posed_body;
+        return hg_pose_joints(task->poser, shape, motion, frame, batch->shape + row * HG_SHAPES,
+                              batch->transform + row * task->body->joints * 12);
+    /* Hair touches the body of t alone. */
+    float *body = b >= 0 ? batch->body + b * task->body_vertices * 3 : task->posed_body;
     hg_profile_begin(ctx, "sample", "body");
     HG_TRY(hg_pose(ctx, task->poser, shape, motion, frame, body, NULL, NULL));
     hg_profile_end(ctx, 12 * task->body_vertices);
     hg_profile_begin(ctx, "sample", "roots");
     HG_TRY(hg_pose_roots(ctx, task->poser, task->styles[subset->first + groom].groom, subset->strand + groom * S, S,
-                         body, batch->rotation + slot * S * 4, batch->position + slot * S * 3));
+                         body, batch->rotation + row * S * 4, batch->position + row * S * 3));
     hg_profile_end(ctx, 28 * S);
     return HG_OK;
 }
 
 hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *batch, const hg_hair_subset *subset,
-                             int64_t b, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
+                             int64_t run, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material)
 {
-    for (int64_t time = 0; time < 3; time++) batch->groom[time * batch->frames + b] = groom;
-    for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
-    for (int64_t time = 0; time < 3; time++) {
-        const int64_t at = frame - 2 + time, slot = time * batch->frames + b;
-        HG_TRY(pose_slot(task, ctx, batch, subset, slot, b, groom, clip->motion, at, shape));
-        float *out = batch->inputs + slot * task->layout.frame_inputs;
+    const int64_t N = batch->consecutive;
+    for (int64_t b = run * N; b < (run + 1) * N; b++)
+        for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
+    for (int64_t time = 0; time < N + 2; time++) {
+        const int64_t at = frame - 2 + time,
+                      row = time < 2 ? time * batch->runs + run : 2 * batch->runs + run * N + time - 2;
+        batch->groom[row] = groom;
+        HG_TRY(pose_row(task, ctx, batch, subset, row, clip->motion, at, shape));
+        float *out = batch->inputs + row * task->layout.frame_inputs;
         hg_hair_track_frame(&task->layout, &clip->track, at, shape, out);
         hg_hair_material_features(task, material, out);
         hg_hair_normalise_frame(task, out, out);
@@ -106,18 +119,19 @@ void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counte
     }
 }
 
-/* Which groom each frame of a step shows; frames of one groom stand together. */
-static void draw_grooms(const hg_hair_task *task, uint64_t key, uint64_t step, int64_t B, int32_t *groom)
+/* Which groom each run of a step shows; runs of one groom stand together. */
+static void draw_grooms(const hg_hair_task *task, uint64_t key, uint64_t step, int64_t runs, int32_t *groom)
 {
     int64_t at = 0;
     int32_t drawn[FRAMES];
-    for (int64_t b = 0; b < B; b++)
-        drawn[b] = task->n_grooms == 1 ? 0
-                                       : (int32_t)hg_random_below(key, STREAM_GROOM, step * (uint64_t)B + (uint64_t)b,
-                                                                  (uint64_t)task->n_grooms);
+    for (int64_t r = 0; r < runs; r++)
+        drawn[r] = task->n_grooms == 1
+                       ? 0
+                       : (int32_t)hg_random_below(key, STREAM_GROOM, step * (uint64_t)runs + (uint64_t)r,
+                                                  (uint64_t)task->n_grooms);
     for (int32_t g = 0; g < task->n_grooms; g++)
-        for (int64_t b = 0; b < B; b++)
-            if (drawn[b] == g) groom[at++] = g;
+        for (int64_t r = 0; r < runs; r++)
+            if (drawn[r] == g) groom[at++] = g;
 }
 
 hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, void *bytes)
@@ -136,16 +150,18 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
     hg_hair_batch *batch = hg_hair_batch_lay_out(task, bytes, B, task->subset.n);
     const uint64_t key = seed * 1000003 + task->seed;
     int32_t groom[FRAMES];
-    draw_grooms(task, key, step, B, groom);
-    for (int64_t b = 0; b < B; b++) {
-        const uint64_t counter = step * (uint64_t)B + (uint64_t)b;
-        int64_t frame = (int64_t)hg_random_below(key, STREAM_FRAME, counter, (uint64_t)task->training_frames);
+    draw_grooms(task, key, step, batch->runs, groom);
+    /* A run begins where the rest of it is still in its clip. */
+    const int64_t cut = batch->consecutive - 1, starts = task->training_frames - task->n_clips[0] * cut;
+    for (int64_t r = 0; r < batch->runs; r++) {
+        const uint64_t counter = step * (uint64_t)batch->runs + (uint64_t)r;
+        int64_t frame = (int64_t)hg_random_below(key, STREAM_FRAME, counter, (uint64_t)starts);
         int clip = 0;
-        while (frame >= task->clips[0][clip].motion->frames) frame -= task->clips[0][clip++].motion->frames;
+        while (frame >= task->clips[0][clip].motion->frames - cut) frame -= task->clips[0][clip++].motion->frames - cut;
         double shape[HG_SHAPES], material[HG_HAIR_MATERIALS];
         hg_hair_draw_shape(task, key, counter, shape);
         hg_hair_draw_materials(task, key, counter, material);
-        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, b, groom[b], &task->clips[0][clip], frame, shape,
+        HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, r, groom[r], &task->clips[0][clip], frame, shape,
                                   material));
     }
     return HG_OK;

@@ -54,6 +54,12 @@ static const hg_config_row rows[] = {
       "of a network that makes images: texels of a side, with a strand each; others are left out" },
     { "model.groups", HG_INTEGER, "0", NULL, NULL, 0, 8192,
       "of a network that makes images: of the group norm after each convolution but the last; 0: none" },
+    { "model.orientations", HG_CHOICE, "asked", NULL, "asked|yes|no", 0, 0,
+      "four more outputs for every edge, the turn of its frame: asked, where an energy is about orientations (the "
+      "config of a "
+      "run says yes or no)" },
+    { "model.orientation_scale", HG_NUMBER, "0.1", "1", NULL, 1e-6, 10,
+      "added to the quaternion of a turn for an output of 1" },
     { "model.pinned", HG_INTEGER, "1", NULL, NULL, 1, 2,
       "vertices of a strand that move with the head: 1 the root, 2 its edge too" },
 
@@ -71,6 +77,8 @@ static const hg_config_row rows[] = {
     { "features.latent", HG_INTEGER, "32", NULL, NULL, 1, 1024,
       "numbers that describe a strand, or a groom for a network that makes images" },
     { "features.lock_size", HG_INTEGER, "64", NULL, NULL, 1, 100000, "strands of a lock" },
+    { "features.locks", HG_FLAG, "true", NULL, NULL, 0, 0,
+      "a strand's inputs have the mean code of its lock beside its own (networks of strands)" },
     { "features.encoder_width", HG_INTEGER, "256", NULL, NULL, 1, 8192,
       "of the encoder's hidden layers, or the channels of its smallest image" },
     { "features.encoder_steps", HG_INTEGER, "1000", NULL, NULL, 1, 1000000,
@@ -90,6 +98,9 @@ static const hg_config_row rows[] = {
     { "training.resample_every", HG_INTEGER, "0", NULL, NULL, 0, 1000000000,
       "steps after which other strands are drawn; 0: never" },
     { "training.frames", HG_INTEGER, "1", NULL, NULL, 1, 256, "frames of a step, each with a body shape of its own" },
+    { "training.consecutive", HG_INTEGER, "1", NULL, NULL, 1, 256,
+      "the frames of a step are runs of so many that follow each other in a clip, with one body, groom and material; "
+      "pose_reg needs at least 2" },
     { "training.steps", HG_INTEGER, "10000", NULL, NULL, 1, 1000000000, "" },
     { "training.learning_rate", HG_NUMBER, "5e-4", "1", NULL, 0, 1, "the largest, after the warm-up" },
     { "training.final_fraction", HG_NUMBER, "0.05", "1", NULL, 0, 1, "of the learning rate at the end of the cosine" },
@@ -281,6 +292,17 @@ static hg_status copy_weights(hg_config *copy, const hg_config *config)
     return HG_OK;
 }
 
+/* What a network predicts stays what it was trained with, whatever energies judge it later. */
+static hg_status copy_orientations(hg_config *copy)
+{
+    if (strcmp(hg_config_text(copy, "model.orientations"), "asked")) return HG_OK;
+    hg_hair_terms terms;
+    hg_hair_asks asks;
+    HG_TRY(hg_hair_terms_create(&terms, copy));
+    HG_TRY(hg_hair_asks_of(&asks, &terms));
+    return hg_config_set(copy, "model.orientations", asks.q ? "yes" : "no");
+}
+
 hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config)
 {
     *copy = NULL;
@@ -294,6 +316,7 @@ hg_status hg_hair_config_copy(hg_config **copy, const hg_config *config)
     hg_status status = hg_config_parse(copy, text, hg_config_name(config), schema_rows, n);
     hg_free(text);
     if (status == HG_OK) status = copy_weights(*copy, config);
+    if (status == HG_OK) status = copy_orientations(*copy);
     if (status == HG_OK) hg_config_lines(*copy, config);
     if (status != HG_OK) {
         hg_config_destroy(*copy);

@@ -234,6 +234,8 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
                        .root_position = s->root_position,
                        .body_vertices = s->body_vertices,
                        .dt = 1 / s->task->rate };
+    const hg_frame_input ghost = { "ghost", s->posed };
+    if (s->task->asks.ghost) frame.inputs = &ghost, frame.n_inputs = 1;
     hg_frame posed = frame;
     if (moving) {
         predict(s->predicted, s->before, s->older);

@@ -242,12 +242,28 @@ static hg_status make_rows(hg_hair_subset *subset, const hg_hair_task *task)
     subset->rest = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, task->groom->vertices, 3 });
     subset->features = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ rows, task->strand_inputs });
     if (!subset->rest || !subset->features) return HG_MEMORY;
+    if (task->asks.q) {
+        subset->edges = hg_tensor_create(task->ctx, HG_F32, 3, (int64_t[]){ n, task->groom->vertices - 1, 4 });
+        if (!subset->edges) return HG_MEMORY;
+    }
     if (!task->styles[subset->first].texel) return HG_OK;
     subset->texel = hg_alloc((size_t)n, sizeof *subset->texel);
     if (!subset->texel) return HG_MEMORY;
     for (int64_t i = 0; i < n; i++)
         subset->texel[i] = task->styles[subset->first + i / subset->n].texel[subset->strand[i]];
     return HG_OK;
+}
+
+/* Rest frames of the edges of rest strands [n,V,3]. */
+static hg_status write_edges(const hg_hair_subset *subset, const float *rest)
+{
+    const int64_t V = subset->rest->shape[1];
+    float *q = hg_alloc(hg_tensor_bytes(subset->edges) + 1, 1);
+    for (int64_t i = 0; q && i < subset->rest->shape[0]; i++)
+        hg_hair_edge_frames(rest + i * V * 3, V, q + i * (V - 1) * 4);
+    const hg_status status = q ? hg_tensor_write(subset->edges, q) : HG_MEMORY;
+    hg_free(q);
+    return status;
 }
 
 /* Rest strands and normalised features: the latter again when a checkpoint brought another encoder. */
@@ -270,6 +286,7 @@ hg_status hg_hair_subset_features(hg_hair_subset *subset, const hg_hair_task *ta
     }
     hg_status status = rest && features ? hg_tensor_write(subset->rest, rest) : HG_MEMORY;
     if (status == HG_OK) status = hg_tensor_write(subset->features, features);
+    if (status == HG_OK && subset->edges) status = write_edges(subset, rest);
     hg_free(rest);
     hg_free(features);
     return status;
@@ -279,6 +296,7 @@ void hg_hair_subset_destroy(hg_hair_subset *subset)
 {
     hg_physics_destroy(subset->physics);
     hg_tensor_destroy(subset->rest);
+    hg_tensor_destroy(subset->edges);
     hg_tensor_destroy(subset->features);
     hg_tensor_destroy(subset->weigh);
     hg_roots_destroy(subset->roots);
