@@ -1,4 +1,5 @@
 /* hairgrad evaluate: a trained network on motions and body shapes that it was not trained on. */
+#include "cli/against.h"
 #include "cli/shape.h"
 
 #include <math.h>
@@ -38,6 +39,8 @@ typedef struct {
     const hg_motion *clip[CLIPS];
     const char *name[CLIPS];
     hg_hair_metrics metrics[CLIPS];
+    cli_against asked;
+    hg_against against[CLIPS]; /* with --against, instead of the metrics */
 } evaluations;
 
 static hg_status choose_clips(evaluations *all, const hg_hair_task *task, const hg_arguments *arguments)
@@ -57,17 +60,48 @@ static hg_status choose_clips(evaluations *all, const hg_hair_task *task, const 
     return HG_OK;
 }
 
-static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments)
+static hg_status judge(evaluations *all, hg_hair_task *task, hg_ctx *ctx, const double *given, int64_t frames)
+{
+    hg_progress progress = cli_progress();
+    hg_status status = HG_OK;
+    for (int i = 0; status == HG_OK && i < all->n; i++) {
+        double shape[HG_SHAPES];
+        hg_hair_held_out_shape(task, i, shape);
+        const double *of = given ? given : shape;
+        status = all->asked.options.n_solvers
+                     ? hg_hair_against(task, ctx, all->clip[i], of, &all->asked.options, &all->against[i], &progress)
+                     : hg_hair_evaluate(task, ctx, all->clip[i], of, frames, &all->metrics[i], &progress);
+    }
+    cli_progress_end();
+    return status;
+}
+
+static hg_status show(const evaluations *all, const hg_arguments *arguments)
+{
+    if (all->asked.options.n_solvers) return cli_against_show(arguments, all->n, all->name, all->against);
+    const char *json = cli_value(arguments, "json", NULL);
+    if (json) HG_TRY(hg_hair_metrics_write(json, all->n, all->name, all->metrics));
+    hg_hair_metrics mean;
+    hg_hair_metrics_mean(all->metrics, all->n, &mean);
+    table_head();
+    for (int i = 0; i < all->n; i++) table_row(all->name[i], &all->metrics[i]);
+    if (all->n > 1) table_row("mean", &mean);
+    table_terms(&mean);
+    return HG_OK;
+}
+
+static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments, evaluations *all)
 {
     hg_hair_task *task = NULL;
-    evaluations all = { 0 };
     hg_progress progress = cli_progress();
     double shape[HG_SHAPES];
     bool given;
     int64_t frames = 0;
     HG_TRY(cli_shape(arguments, shape, &given));
+    HG_TRY(cli_against_options(arguments, &all->asked));
     if (cli_value(arguments, "frames", NULL) && !cli_integer(arguments, "frames", &frames))
         return hg_fail(HG_INVALID, "--frames %s: expected a whole number", cli_value(arguments, "frames", ""));
+    if (all->asked.options.n_solvers) cli_catch_signals();
     const char *set[64];
     int n_set = 0;
     for (int i = 0; i < arguments->n_given; i++)
@@ -76,22 +110,9 @@ static hg_status evaluate_run(hg_ctx *ctx, const hg_arguments *arguments)
     const char *groom = cli_value(arguments, "groom", NULL);
     if (status == HG_OK && groom) status = hg_hair_choose_groom(task, groom);
     if (status == HG_OK) status = cli_materials(arguments, task);
-    if (status == HG_OK) status = choose_clips(&all, task, arguments);
-    for (int i = 0; status == HG_OK && i < all.n; i++) {
-        if (!given) hg_hair_held_out_shape(task, i, shape);
-        status = hg_hair_evaluate(task, ctx, all.clip[i], shape, frames, &all.metrics[i], &progress);
-    }
-    cli_progress_end();
-    const char *json = cli_value(arguments, "json", NULL);
-    if (status == HG_OK && json) status = hg_hair_metrics_write(json, all.n, all.name, all.metrics);
-    if (status == HG_OK) {
-        hg_hair_metrics mean;
-        hg_hair_metrics_mean(all.metrics, all.n, &mean);
-        table_head();
-        for (int i = 0; i < all.n; i++) table_row(all.name[i], &all.metrics[i]);
-        if (all.n > 1) table_row("mean", &mean);
-        table_terms(&mean);
-    }
+    if (status == HG_OK) status = choose_clips(all, task, arguments);
+    if (status == HG_OK) status = judge(all, task, ctx, given ? shape : NULL, frames);
+    if (status == HG_OK) status = show(all, arguments);
     hg_hair_task_destroy(task);
     return status;
 }
@@ -102,7 +123,11 @@ static int evaluate(const hg_arguments *arguments)
     if (!cli_context(&ctx, arguments)) return cli_fail();
     char *trap = NULL;
     hg_status status = cli_trap(ctx, arguments, arguments->free[0], &trap);
-    if (status == HG_OK) status = evaluate_run(ctx, arguments);
+    evaluations *all = hg_alloc(1, sizeof *all);
+    if (!all) status = HG_MEMORY;
+    if (status == HG_OK) status = evaluate_run(ctx, arguments, all);
+    for (int i = 0; all && i < all->n; i++) hg_hair_against_free(&all->against[i]);
+    hg_free(all);
     hg_ctx_destroy(ctx);
     hg_free(trap);
     return status == HG_OK ? 0 : cli_fail();
@@ -118,6 +143,7 @@ static const hg_argument evaluate_options[] = {
     { "set", "KEY=VALUE", "judge by other energies: override a value of the run's config, like losses.drag.weight=0",
       true },
     { "json", "FILE", "write the metrics there too", false },
+    CLI_AGAINST_OPTIONS,
     CLI_TRAP_OPTION,
     CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
@@ -127,4 +153,5 @@ HG_COMMAND(
     .options = evaluate_options, .n_options = sizeof evaluate_options / sizeof *evaluate_options, .min_free = 1,
     .max_free = 1, .run = evaluate,
     .more = "  hairgrad evaluate out/demo/run --json out/demo/metrics.json\n"
+            "  hairgrad evaluate out/demo/run --against lbfgs --plot out/demo/against.png\n"
             "`posed` columns are the rigidly posed groom; `tip` is the rms speed of the tips in the head's frame.\n");

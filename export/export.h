@@ -100,6 +100,12 @@ hg_status hg_render(hg_ctx *ctx, hg_image *image, int x, int y, int width, int h
 typedef struct { const char *name; int64_t n; const double *x, *y; } hg_curve;
 hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const char *title, const char *x_label, const char *y_label, int n, const hg_curve *curves, bool equal_axes);
 
+/* Horizontal bars from zero: values [n_groups,n_bars], a group beneath the other, with the names of both. Bars longer than `limit` (0:
+ * none) are cut and say their value. */
+hg_status hg_plot_bars(hg_image *image, int x, int y, int width, int height, const char *title, const char *label, int n_groups, const char *const *groups, int n_bars, const char *const *bars, const double *values, double limit);
+/* A row for each clip, at most six: energies at rest side by side and, of what moves, two tips over time. width, height: of a panel; 0: 620 x 420. */
+hg_status hg_against_draw(hg_image **picture, int n, const char *const *clips, const hg_against *against, int width, int height);
+
 /* ---- pictures of files -------------------------------------------------------------------------------------- */
 
 /* A contact sheet of a drape (.vtkhdf), of a posed scene (`hairgrad pose`, .h5) or of a groom (.h5). The camera goes

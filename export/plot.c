@@ -1,4 +1,4 @@
-/* Line plots: axes with round tick values, labels, a legend, several curves. */
+/* Plots: axes with round tick values, labels, a legend; several curves, or bars. */
 #include "export/draw.h"
 
 #include <float.h>
@@ -91,19 +91,25 @@ static double down(const field *f, double y)
     return f->top + f->height - (y - f->y.low) / (f->y.high - f->y.low) * f->height;
 }
 
-static void draw_axes(hg_image *image, const field *f, int scale)
+static void draw_x_axis(hg_image *image, const field *f, int scale)
 {
     char text[32];
-    double step = tick_step(f->x, f->width / (60 * scale) + 1);
-    int64_t last = (int64_t)floor(f->x.high / step + 1e-9);
+    const double step = tick_step(f->x, f->width / (60 * scale) + 1);
+    const int64_t last = (int64_t)floor(f->x.high / step + 1e-9);
     for (int64_t i = (int64_t)ceil(f->x.low / step - 1e-9); i <= last; i++) {
-        double x = across(f, (double)i * step);
+        const double x = across(f, (double)i * step);
         hg_draw_line(image, x, f->top, x, f->top + f->height, 1.0, grid_colour);
         tick_text(text, sizeof text, (double)i * step, step);
         hg_image_text(image, (int)x - hg_text_width(text, scale) / 2, f->top + f->height + 4 * scale, scale, ink, text);
     }
-    step = tick_step(f->y, f->height / (40 * scale) + 1);
-    last = (int64_t)floor(f->y.high / step + 1e-9);
+}
+
+static void draw_axes(hg_image *image, const field *f, int scale)
+{
+    char text[32];
+    draw_x_axis(image, f, scale);
+    const double step = tick_step(f->y, f->height / (40 * scale) + 1);
+    const int64_t last = (int64_t)floor(f->y.high / step + 1e-9);
     for (int64_t i = (int64_t)ceil(f->y.low / step - 1e-9); i <= last; i++) {
         double y = down(f, (double)i * step);
         hg_draw_line(image, f->left, y, f->left + f->width, y, 1.0, grid_colour);
@@ -229,5 +235,79 @@ hg_status hg_plot(hg_image *image, int x, int y, int width, int height, const ch
     if (y_label)
         HG_TRY(
             text_upwards(image, x + 3 * scale, f.top + (f.height - hg_text_width(y_label, scale)) / 2, scale, y_label));
+    return HG_OK;
+}
+
+/* ---- bars -------------------------------------------------------------------------------------------------------- */
+
+static int widest_of(int n, const char *const *names, int scale)
+{
+    int widest = 0;
+    for (int i = 0; i < n; i++) {
+        const int width = hg_text_width(names[i], scale);
+        widest = width > widest ? width : widest;
+    }
+    return widest;
+}
+
+/* Above the field, in a row. */
+static void draw_bar_names(hg_image *image, const field *f, int y, int scale, int n, const char *const *names)
+{
+    int x = f->left;
+    for (int k = 0; k < n; k++) {
+        hg_draw_rectangle(image, x, y, 7 * scale, 7 * scale, curve_colour[k % 8], 1.0f);
+        hg_image_text(image, x + 10 * scale, y, scale, ink, names[k]);
+        x += 18 * scale + hg_text_width(names[k], scale);
+    }
+}
+
+hg_status hg_plot_bars(hg_image *image, int x, int y, int width, int height, const char *title, const char *label,
+                       int n_groups, const char *const *groups, int n_bars, const char *const *bars,
+                       const double *values, double limit)
+{
+    const int scale = width >= 420 && height >= 300 ? 2 : 1, names = widest_of(n_groups, groups, scale);
+    field f = { .left = x + names + 10 * scale, .top = y + 34 * scale };
+    f.width = width - names - 24 * scale;
+    f.height = height - 34 * scale - 30 * scale;
+    if (f.width < 20 || f.height < 4 * n_groups || n_groups < 1 || n_bars < 1)
+        return hg_fail(HG_INVALID, "plot: %d x %d pixels are too few for %d groups of bars", width, height, n_groups);
+    char text[32];
+    f.x = (range){ 0, 0 };
+    for (int i = 0; i < n_groups * n_bars; i++)
+        if (isfinite(values[i])) {
+            const double value = limit > 0 ? fmax(-limit, fmin(limit, values[i])) : values[i];
+            f.x.low = fmin(f.x.low, value), f.x.high = fmax(f.x.high, value);
+        }
+    if (f.x.low == f.x.high) f.x.high = 1;
+    const double margin = 0.05 * (f.x.high - f.x.low), row = (double)f.height / n_groups, thick = 0.8 * row / n_bars;
+    if (f.x.low < 0) f.x.low -= margin;
+    if (f.x.high > 0) f.x.high += margin;
+    hg_draw_rectangle(image, x, y, width, height, paper, 1.0f);
+    draw_x_axis(image, &f, scale);
+    for (int g = 0; g < n_groups; g++) {
+        const double top = f.top + row * g;
+        hg_image_text(image, f.left - hg_text_width(groups[g], scale) - 5 * scale, (int)(top + 0.5 * row) - 4 * scale,
+                      scale, ink, groups[g]);
+        for (int k = 0; k < n_bars; k++) {
+            const double value = values[g * n_bars + k], from = across(&f, 0),
+                         to = across(&f, fmax(f.x.low, fmin(f.x.high, value)));
+            if (!isfinite(value)) continue;
+            hg_draw_rectangle(image, (int)fmin(from, to), (int)(top + 0.1 * row + thick * k),
+                              (int)fabs(to - from) > 1 ? (int)fabs(to - from) : 1, (int)thick > 1 ? (int)thick : 1,
+                              curve_colour[k % 8], 1.0f);
+            if (value > f.x.high || value < f.x.low) { /* it goes on */
+                snprintf(text, sizeof text, "%.3g", value);
+                const int small = thick < 10 * scale ? 1 : scale, wide = hg_text_width(text, small);
+                hg_image_text(image, value > 0 ? (int)to - wide - 3 * scale : (int)to + 3 * scale,
+                              (int)(top + 0.1 * row + thick * (k + 0.5)) - 4 * small, small, paper, text);
+            }
+        }
+    }
+    hg_draw_line(image, across(&f, 0), f.top, across(&f, 0), f.top + f.height, 1.5, ink);
+    draw_bar_names(image, &f, y + 20 * scale, scale, n_bars, bars);
+    if (title) hg_image_text(image, x + (width - hg_text_width(title, scale)) / 2, y + 6 * scale, scale, ink, title);
+    if (label)
+        hg_image_text(image, f.left + (f.width - hg_text_width(label, scale)) / 2, y + height - 11 * scale, scale, ink,
+                      label);
     return HG_OK;
 }

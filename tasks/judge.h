@@ -36,4 +36,6 @@ hg_status hg_hair_judge_energies(hg_hair_judge *judge, const float *x, const flo
                                  double energy[HG_HAIR_TERMS]);
 hg_status hg_hair_judge_inside(hg_hair_judge *judge, const float *x, int64_t *inside);
 
+void hg_hair_against_gaps(hg_against *against); /* from what the sides have above the reference */
+
 #endif

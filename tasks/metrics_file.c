@@ -1,5 +1,5 @@
 /* metrics_file: metrics of several clips, their mean, and both as JSON; those of a solve. */
-#include "tasks/tasks.h"
+#include "tasks/json.h"
 
 #include <math.h>
 
@@ -35,7 +35,7 @@ void hg_hair_metrics_mean(const hg_hair_metrics *metrics, int n, hg_hair_metrics
     if (lag_frames > 0) mean->tip_lag = lag / lag_frames;
 }
 
-static void number(hg_text *text, const char *indent, const char *name, double value, const char *end)
+void hg_hair_json_number(hg_text *text, const char *indent, const char *name, double value, const char *end)
 {
     if (isfinite(value))
         hg_text_add(text, "%s\"%s\": %.6g%s\n", indent, name, value, end);
@@ -43,7 +43,7 @@ static void number(hg_text *text, const char *indent, const char *name, double v
         hg_text_add(text, "%s\"%s\": null%s\n", indent, name, end);
 }
 
-static void quoted(hg_text *text, const char *words)
+void hg_hair_json_text(hg_text *text, const char *words)
 {
     hg_text_add(text, "\"");
     for (const char *c = words; *c; c++)
@@ -53,20 +53,20 @@ static void quoted(hg_text *text, const char *words)
 
 static void one(hg_text *text, const char *in, const hg_hair_metrics *m)
 {
-    number(text, in, "frames", (double)m->frames, ",");
-    number(text, in, "strands", (double)m->strands, ",");
-    number(text, in, "length_error_percent", m->length_error, ",");
-    number(text, in, "orientation_degrees", m->orientation, ",");
-    number(text, in, "inside_percent", m->inside, ",");
-    number(text, in, "inside_posed_percent", m->inside_posed, ",");
-    number(text, in, "energy_joule_per_strand", m->energy, ",");
-    number(text, in, "energy_posed_joule_per_strand", m->energy_posed, ",");
-    number(text, in, "gravity_body_joule_per_strand", m->gravity_body, ",");
-    number(text, in, "gravity_body_posed_joule_per_strand", m->gravity_body_posed, ",");
-    number(text, in, "curl_of_rest", m->curl, ",");
-    number(text, in, "tip_moved_percent_of_length", m->tip_moved, ",");
-    number(text, in, "tip_speed_metres_per_second", m->tip_amplitude, ",");
-    number(text, in, "tip_lag_seconds", m->tip_lag, ",");
+    hg_hair_json_number(text, in, "frames", (double)m->frames, ",");
+    hg_hair_json_number(text, in, "strands", (double)m->strands, ",");
+    hg_hair_json_number(text, in, "length_error_percent", m->length_error, ",");
+    hg_hair_json_number(text, in, "orientation_degrees", m->orientation, ",");
+    hg_hair_json_number(text, in, "inside_percent", m->inside, ",");
+    hg_hair_json_number(text, in, "inside_posed_percent", m->inside_posed, ",");
+    hg_hair_json_number(text, in, "energy_joule_per_strand", m->energy, ",");
+    hg_hair_json_number(text, in, "energy_posed_joule_per_strand", m->energy_posed, ",");
+    hg_hair_json_number(text, in, "gravity_body_joule_per_strand", m->gravity_body, ",");
+    hg_hair_json_number(text, in, "gravity_body_posed_joule_per_strand", m->gravity_body_posed, ",");
+    hg_hair_json_number(text, in, "curl_of_rest", m->curl, ",");
+    hg_hair_json_number(text, in, "tip_moved_percent_of_length", m->tip_moved, ",");
+    hg_hair_json_number(text, in, "tip_speed_metres_per_second", m->tip_amplitude, ",");
+    hg_hair_json_number(text, in, "tip_lag_seconds", m->tip_lag, ",");
     hg_text_add(text, "%s\"terms\": {\n", in);
     for (int k = 0; k < m->n_terms; k++) {
         hg_text_add(text, "%s  \"%s\": { \"energy\": %.6g, \"posed\": %.6g }%s\n", in, m->term[k], m->term_energy[k],
@@ -81,7 +81,7 @@ hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clip
     hg_text_add(&text, "{\n  \"clips\": [\n");
     for (int i = 0; i < n; i++) {
         hg_text_add(&text, "    {\n      \"clip\": ");
-        quoted(&text, clips[i]);
+        hg_hair_json_text(&text, clips[i]);
         hg_text_add(&text, ",\n");
         one(&text, "      ", &metrics[i]);
         hg_text_add(&text, "    }%s\n", i + 1 < n ? "," : "");
@@ -100,16 +100,16 @@ hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_ha
 {
     hg_text text = { 0 };
     hg_text_add(&text, "{\n  \"clip\": ");
-    quoted(&text, clip);
+    hg_hair_json_text(&text, clip);
     hg_text_add(&text, ",\n");
-    number(&text, "  ", "solves", (double)solution->solves, ",");
-    number(&text, "  ", "converged", (double)solution->converged, ",");
-    number(&text, "  ", "stalled", (double)solution->stalled, ",");
-    number(&text, "  ", "evaluations", (double)solution->evaluations, ",");
-    number(&text, "  ", "iterations_per_strand", solution->iterations, ",");
-    number(&text, "  ", "seconds", solution->seconds, ",");
-    number(&text, "  ", "largest_force_newton", solution->force, ",");
-    number(&text, "  ", "largest_movement_metres", solution->movement, ",");
+    hg_hair_json_number(&text, "  ", "solves", (double)solution->solves, ",");
+    hg_hair_json_number(&text, "  ", "converged", (double)solution->converged, ",");
+    hg_hair_json_number(&text, "  ", "stalled", (double)solution->stalled, ",");
+    hg_hair_json_number(&text, "  ", "evaluations", (double)solution->evaluations, ",");
+    hg_hair_json_number(&text, "  ", "iterations_per_strand", solution->iterations, ",");
+    hg_hair_json_number(&text, "  ", "seconds", solution->seconds, ",");
+    hg_hair_json_number(&text, "  ", "largest_force_newton", solution->force, ",");
+    hg_hair_json_number(&text, "  ", "largest_movement_metres", solution->movement, ",");
     hg_text_add(&text, "  \"minimum\": {\n");
     one(&text, "    ", &solution->metrics);
     hg_text_add(&text, "  }\n}\n");

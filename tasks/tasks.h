@@ -139,6 +139,57 @@ hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
                         hg_drape_sink sink, void *self, hg_hair_solution *solution, const hg_progress *progress);
 hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_hair_solution *solution); /* JSON, units in the names */
 
+/* ---- a network beside solvers: docs/evaluate.md --------------------------------------------------------------- */
+
+/* Who drapes: frames first .. first + frames - 1 of a motion, every stride-th strand, to the sink. NULL: the task's network. */
+typedef hg_status (*hg_hair_draper)(void *self, const hg_motion *motion, const double *shape, int64_t first, int64_t frames, int64_t stride, hg_drape_sink sink, void *to);
+typedef struct { const char *name; hg_hair_solve_options how; /* method and its limits; motion, frames and strands are set here */ } hg_against_solver;
+typedef struct {
+    int n_solvers; const hg_against_solver *solver; /* at most HG_AGAINST_SIDES - 2; the first lbfgs among them is the reference, else the first */
+    int64_t poses;                       /* held still, evenly over the clip; 0: 6 */
+    int64_t frames;                      /* consecutive, where the head moves most; for energies that know of other frames; 0: 45; 1: no motion */
+    int64_t settle;                      /* frames before them in which the solvers come from rest into the motion; 0: half a second */
+    int64_t strands;                     /* about so many, evenly over the groom; 0: 200 */
+    hg_hair_draper drape; void *self;
+} hg_against_options;
+
+/* Poses, or frames of a motion. Energies are weighted, per strand [J], gravity counted from the posed groom. In motion they are those
+ * of a side's movement with its own past, and excess is not their difference: there all sides are put into the energy of each frame
+ * whose past is the reference's, of which the reference is the minimum. */
+typedef struct {
+    double seconds;                      /* of a frame, the body posed; NAN: nobody's */
+    double length_error, orientation, curl, inside; /* %, degrees, 1, %: as in hg_hair_metrics */
+    double distance, distance_p95;       /* m: of free vertices from the reference's, mean and 95th percentile */
+    double energy, term_energy[16];
+    double excess, excess_free;          /* J per strand above the reference; without the energies of contact */
+    double gap;                          /* excess over the posed groom's excess_free: 0 is the reference; the posed groom has 1. NAN where it has no excess_free */
+    double gap_contact;                  /* excess over the posed groom's excess: it stands in shoulders, and its contact makes every network look good */
+    int64_t solves, converged, stalled;  /* of a solver: strands times frames; neither: an upper bound of the minimum */
+} hg_against_part;
+/* Tips as seen from their roots' rigid frames, where posed ones stand still. */
+typedef struct {
+    double speed, excursion;             /* rms: m/s; m about their mean place */
+    double correlation;                  /* of the ways about their means with the reference's: 1 the same, 0 nothing in common */
+    double lag;                          /* s behind the reference, by the largest correlation of velocities; NAN when either is still */
+} hg_against_tips;
+#define HG_AGAINST_SIDES 6
+typedef struct { const char *name; hg_against_part rest, motion; hg_against_tips tips; } hg_against_side;
+typedef struct {
+    int64_t strands, poses, frames, first; /* frames 0: no motion was compared; first: of the clip */
+    double rate;                         /* frames per second */
+    int n_terms; const char *term[16]; bool term_moves[16]; /* moves: knows of other frames, and is 0 at rest */
+    int n_sides, reference;              /* the network, the solvers in their order, the posed groom */
+    hg_against_side side[HG_AGAINST_SIDES];
+    int n_tips; double *tip;             /* [n_tips,n_sides,frames] m off the posed place, along the widest way of the reference: a tip that swings much, one as most do */
+} hg_against;
+/* The same strands of the current groom, the same clip and body shape for all. Names are the options' and the registry's. */
+hg_status hg_hair_against(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, const hg_against_options *options, hg_against *against, const hg_progress *progress);
+void      hg_hair_against_free(hg_against *against);
+/* Over clips of one comparison, weighted by poses and frames; a gap is that of the means. Has no tips; is not freed. */
+void      hg_hair_against_mean(const hg_against *against, int n, hg_against *mean);
+/* { "against": { "clips": [ { "clip": name, .. }, .. ], "mean": { .. } } }, every number with its unit in its name. */
+hg_status hg_hair_against_write(const char *path, int n, const char *const *clips, const hg_against *against);
+
 #ifdef __cplusplus
 }
 #endif
