@@ -101,7 +101,7 @@ typedef struct {
     hg_tensor *rest;     /* [G n,V,3] f32 */
     hg_tensor *edges;    /* [G n,V-1,4] f32 their rest frames, where the task knows of orientations; else NULL */
     hg_tensor *features; /* [G n,strand_inputs] f32, normalised; of a network of grooms [G,strand_inputs] */
-    int32_t *texel;      /* [G n] or NULL, as that of hg_hair_style */
+    hg_tensor *texel;    /* [G n] i32 or NULL, as that of hg_hair_style */
     double *lengths;     /* [G n,V-1] rest edges */
     double *mass;        /* [G n] of a strand [kg] */
     hg_tensor *weigh;    /* the same, where the task computes */
@@ -160,7 +160,7 @@ typedef struct {
 typedef struct {
     int64_t grooms, strands; /* strands of each */
     hg_tensor *rows;         /* [grooms strands,..]; of a network of grooms [grooms,..] */
-    const int32_t *texel;    /* [grooms strands] the subset's, or NULL */
+    hg_tensor *texel;        /* [grooms strands] i32 the subset's, or NULL */
     hg_tensor *edges;        /* the subset's */
 } hg_hair_part;
 

@@ -221,7 +221,7 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
                                     .strands = count,
                                     .rows =
                                         network->of_grooms ? part->rows : hg_tensor_rows(ctx, part->rows, first, count),
-                                    .texel = part->texel ? part->texel + first : NULL };
+                                    .texel = hg_tensor_rows(ctx, part->texel, first, count) };
         hg_tensor *placed =
             hg_hair_predict(task, ctx, &some, NULL, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, F }, inputs),
                             hg_tensor_rows(ctx, rest, first, count),

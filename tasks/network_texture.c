@@ -225,32 +225,32 @@ static hg_tensor *part_of(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *feat
     return features;
 }
 
-/* [R,T T,outputs]: of each texel a row. */
+/* [R,outputs,T,T]. A row's code is picked by a product with ones and zeros: an index would be read back from a device. */
 static hg_tensor *images(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
                          hg_tensor *inputs)
 {
     const int64_t R = inputs->shape[0];
-    int32_t *which = hg_step_alloc(ctx, (size_t)R * sizeof *which);
-    if (!which) return NULL;
-    for (int64_t r = 0; r < R; r++) which[r] = groom ? groom[r] : 0;
-    hg_tensor *code = hg_gather(ctx, part->rows, hg_tensor_from(ctx, HG_I32, 1, &R, which));
+    const int64_t G = part->grooms;
+    float *one = hg_step_alloc(ctx, (size_t)(R * G) * sizeof *one);
+    if (!one) return NULL;
+    for (int64_t r = 0; r < R; r++)
+        for (int64_t g = 0; g < G; g++) one[r * G + g] = g == (groom ? groom[r] : 0) ? 1 : 0;
+    hg_tensor *code = hg_matmul(ctx, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ R, G }, one), part->rows);
     hg_tensor *in = hg_concat(ctx, 1, 2, (hg_tensor *[]){ code, inputs });
-    hg_tensor *image = hg_permute(ctx, task->model->forward(task->model->self, ctx, &in, 1), (int[]){ 0, 2, 3, 1 });
-    return hg_reshape(ctx, image, 3, (int64_t[]){ R, texels(task), task->outputs });
+    return task->model->forward(task->model->self, ctx, &in, 1);
 }
 
+/* A texel of all rows is one row to gather: the index is the groom's, the same in every step. */
 static hg_tensor *outputs(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
                           int64_t first, int64_t rows, int32_t groom)
 {
     if (!whole) return NULL;
-    const int64_t S = part->strands, n = rows * S, area = whole->shape[1];
-    int32_t *place = hg_step_alloc(ctx, (size_t)n * sizeof *place);
-    if (!place) return NULL;
-    for (int64_t r = 0; r < rows; r++)
-        for (int64_t s = 0; s < S; s++) place[r * S + s] = (int32_t)((first + r) * area + part->texel[groom * S + s]);
-    hg_tensor *texel_rows = hg_reshape(ctx, whole, 2, (int64_t[]){ -1, task->outputs });
-    hg_tensor *out = hg_gather(ctx, texel_rows, hg_tensor_from(ctx, HG_I32, 1, &n, place));
-    return hg_reshape(ctx, out, 3, (int64_t[]){ rows, S, task->outputs });
+    const int64_t S = part->strands, C = task->outputs;
+    if (rows < whole->shape[0]) whole = hg_slice(ctx, whole, 0, first, rows);
+    hg_tensor *of_texel = hg_permute(ctx, whole, (int[]){ 2, 3, 0, 1 });
+    hg_tensor *out = hg_gather(ctx, hg_reshape(ctx, of_texel, 2, (int64_t[]){ -1, rows * C }),
+                               hg_tensor_rows(ctx, part->texel, groom * S, S));
+    return hg_permute(ctx, hg_reshape(ctx, out, 3, (int64_t[]){ S, rows, C }), (int[]){ 1, 0, 2 });
 }
 
 const hg_hair_network hg_hair_network_texture = {

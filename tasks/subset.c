@@ -247,11 +247,13 @@ static hg_status make_rows(hg_hair_subset *subset, const hg_hair_task *task)
         if (!subset->edges) return HG_MEMORY;
     }
     if (!task->styles[subset->first].texel) return HG_OK;
-    subset->texel = hg_alloc((size_t)n, sizeof *subset->texel);
-    if (!subset->texel) return HG_MEMORY;
-    for (int64_t i = 0; i < n; i++)
-        subset->texel[i] = task->styles[subset->first + i / subset->n].texel[subset->strand[i]];
-    return HG_OK;
+    int32_t *texel = hg_alloc((size_t)n, sizeof *texel);
+    subset->texel = hg_tensor_create(task->ctx, HG_I32, 1, &n);
+    for (int64_t i = 0; texel && i < n; i++)
+        texel[i] = task->styles[subset->first + i / subset->n].texel[subset->strand[i]];
+    const hg_status status = texel && subset->texel ? hg_tensor_write(subset->texel, texel) : HG_MEMORY;
+    hg_free(texel);
+    return status;
 }
 
 /* Rest frames of the edges of rest strands [n,V,3]. */
@@ -303,7 +305,7 @@ void hg_hair_subset_destroy(hg_hair_subset *subset)
     hg_free(subset->lengths);
     hg_free(subset->mass);
     hg_free(subset->strand);
-    hg_free(subset->texel);
+    hg_tensor_destroy(subset->texel);
     *subset = (hg_hair_subset){ 0 };
 }
 

@@ -266,11 +266,10 @@ static void empty_texels_have_no_gradient(void **state)
     float *gradient = malloc(hg_tensor_bytes(image));
     OK(hg_tensor_read(hg_grad(image), gradient));
     bool taken[64] = { false };
-    for (int64_t i = 0; i < part.strands; i++) taken[part.texel[i]] = true;
-    for (int64_t i = 0; i < hg_tensor_count(image); i++) {
-        const int64_t texel = i / task->outputs;
-        assert_true(gradient[i] ==
-                    (texel >= 64 && taken[texel % 64] ? 1.0f : 0.0f)); /* the first row was not asked for */
+    for (int64_t i = 0; i < part.strands; i++) taken[(int)hg_tensor_item(part.texel, i)] = true;
+    for (int64_t i = 0; i < hg_tensor_count(image); i++) { /* the first row was not asked for */
+        const bool asked = i >= 64 * task->outputs && taken[i % 64];
+        assert_true(gradient[i] == (asked ? 1.0f : 0.0f));
     }
     free(gradient);
     hg_free(f.bytes);
@@ -372,6 +371,35 @@ static void a_resumed_run_is_the_same_and_opens(void **state)
     hg_ctx_destroy(ctx);
 }
 
+typedef struct {
+    hg_ctx *ctx;
+    int steps;
+    int64_t waits[8];
+} watch;
+
+static bool look(void *self)
+{
+    watch *w = self;
+    w->waits[w->steps++] = hg_ctx_counts(w->ctx).waits;
+    return false;
+}
+
+/* The host waits for a device where a line is logged, not in every step. */
+static void a_step_waits_for_nothing(void **state)
+{
+    (void)state;
+    trial s = begin(NULL, 2, 0, NULL);
+    watch w = { .ctx = s.ctx };
+    hg_train_options options = hg_hair_train_options(s.task);
+    options.log_every = options.steps = 8, options.validate_every = 0;
+    options.stop = look, options.stop_self = &w;
+    hg_train_result result;
+    OK(hg_train(s.ctx, hg_hair_model(s.task), hg_hair_task_of(s.task), &options, NULL, &result));
+    assert_int_equal(w.steps, 8);
+    for (int i = 3; i < 8; i++) assert_int_equal(w.waits[i], w.waits[2]);
+    end(&s);
+}
+
 /* What the loss sees of a frame is what a drape shows of it; and in a batch of two grooms each has its own strands. */
 static void a_drape_is_what_training_predicts(void **state)
 {
@@ -459,6 +487,7 @@ int main(void)
         cmocka_unit_test(the_gradient_is_that_of_the_loss),
         cmocka_unit_test(empty_texels_have_no_gradient),
         cmocka_unit_test(a_resumed_run_is_the_same_and_opens),
+        cmocka_unit_test(a_step_waits_for_nothing),
         cmocka_unit_test(a_drape_is_what_training_predicts),
         cmocka_unit_test(refuses),
     };
