@@ -172,7 +172,8 @@ static void trains_like_the_processor(void **state)
 }
 
 /* Everything that a config can change of what is made on the device: several grooms, strands drawn anew, outputs that turn edges,
- * materials that are inputs and learnt ones, a moving average, and what has no gravity to count from the roots. */
+ * materials that are inputs and learnt ones, a moving average, what has no gravity to count from the roots, and runs of frames
+ * with orientations and ghosts. */
 static void variants_train_too(void **state)
 {
     (void)state;
@@ -190,8 +191,17 @@ static void variants_train_too(void **state)
                                             { "model.output", "edges" },
                                             { "losses.self_collision.weight", "1" },
                                             { NULL, NULL } };
-    const char *const(*const variants[])[2] = { grooms, turned, light };
-    for (int v = 0; v < 3; v++) {
+    static const char *const rods[][2] = { { "losses.cosserat_stretch_shear.weight", "1" },
+                                           { "losses.cosserat_bend_twist.weight", "1" },
+                                           { "losses.unit_quaternion.weight", "1" },
+                                           { "losses.pose_reg.weight", "1" },
+                                           { "losses.integrity.weight", "1" },
+                                           { "training.frames", "4" },
+                                           { "training.consecutive", "2" },
+                                           { "scene.grooms", "[wavy, short]" },
+                                           { NULL, NULL } };
+    const char *const(*const variants[])[2] = { grooms, turned, light, rods };
+    for (int v = 0; v < 4; v++) {
         double loss[2], best[2];
         for (int k = 0; k < 2; k++) {
             hg_ctx *ctx = make_ctx(k ? test_device() : "cpu");
