@@ -51,6 +51,28 @@ static hg_status whole(const hg_arguments *arguments, const char *name, int64_t 
     return hg_fail(HG_INVALID, "--%s %s: expected a whole number, at least 0", name, text);
 }
 
+/* What only one of the methods understands is refused for the others. */
+static hg_status take_xpbd(const hg_arguments *arguments, hg_hair_solve_options *options)
+{
+    static const char *const own[] = { "substeps", "iterations", "steps", "sweeps", "strand-distance" };
+    const bool xpbd = options->minimise.method == HG_XPBD;
+    for (size_t i = 0; i < sizeof own / sizeof *own && !xpbd; i++)
+        if (cli_value(arguments, own[i], NULL) || (!strcmp(own[i], "sweeps") && cli_flag(arguments, own[i])))
+            return hg_fail(HG_INVALID, "--%s belongs to --method xpbd", own[i]);
+    if (xpbd && cli_value(arguments, "evaluations", NULL))
+        return hg_fail(HG_INVALID, "--evaluations belongs to the other methods; xpbd has --steps");
+    int64_t substeps = 0, iterations = 0;
+    HG_TRY(whole(arguments, "substeps", &substeps));
+    HG_TRY(whole(arguments, "iterations", &iterations));
+    HG_TRY(whole(arguments, "steps", &options->xpbd.steps));
+    if (substeps > 100000 || iterations > 100000)
+        return hg_fail(HG_INVALID, "solve: at most 100000 substeps and iterations");
+    options->xpbd.substeps = (int)substeps, options->xpbd.iterations = (int)iterations;
+    options->xpbd.sweeps = cli_flag(arguments, "sweeps");
+    const char *distance = cli_value(arguments, "strand-distance", NULL);
+    return distance ? hg_unit_parse(distance, "m", &options->xpbd.strand_distance) : HG_OK;
+}
+
 static hg_status take_options(const hg_arguments *arguments, hg_hair_solve_options *options)
 {
     const char *method = cli_value(arguments, "method", "lbfgs");
@@ -64,14 +86,15 @@ static hg_status take_options(const hg_arguments *arguments, hg_hair_solve_optio
     HG_TRY(whole(arguments, "first", &options->first));
     HG_TRY(whole(arguments, "frames", &options->frames));
     HG_TRY(whole(arguments, "strands", &options->strands));
+    HG_TRY(take_xpbd(arguments, options));
     return whole(arguments, "evaluations", &options->minimise.evaluations);
 }
 
-static void print_solution(const hg_hair_solution *s)
+static void print_solution(const hg_hair_solution *s, bool xpbd, bool dynamic)
 {
     const hg_hair_metrics *m = &s->metrics;
-    printf("%-20s %12s %12s   (nJ per strand, weighted; gravity counted from the posed groom)\n", "energy", "minimum",
-           "posed groom");
+    printf("%-20s %12s %12s   (nJ per strand, weighted; gravity counted from the posed groom)\n", "energy",
+           xpbd ? "xpbd" : "minimum", "posed groom");
     for (int i = 0; i < m->n_terms; i++)
         printf("%-20s %12.4f %12.4f\n", m->term[i], 1e9 * m->term_energy[i], 1e9 * m->term_posed[i]);
     printf("%-20s %12.4f %12.4f\n", "sum", 1e9 * m->energy, 1e9 * m->energy_posed);
@@ -79,6 +102,14 @@ static void print_solution(const hg_hair_solution *s)
            "%.3f %% (posed "
            "%.3f %%)\n",
            m->length_error, m->orientation, m->tip_moved, m->curl, m->inside, m->inside_posed);
+    if (xpbd) {
+        if (*s->left_out) printf("without a constraint of xpbd: %s\n", s->left_out);
+        printf("%lld of %lld strands at rest%s, largest movement in the last step to rest %.2g m; %.0f steps a strand, "
+               "%.1f s\n",
+               (long long)s->converged, (long long)(dynamic ? m->strands : s->solves),
+               dynamic ? " in the first frame" : "", s->movement, s->iterations, s->seconds);
+        return;
+    }
     printf("%lld of %lld strands at their minimum, %lld in or beside a kink of the energy, which sink no more\n",
            (long long)s->converged, (long long)s->solves, (long long)s->stalled);
     printf("largest movement left %.2g m, force %.2g N; %.0f iterations a strand, %lld evaluations, %.1f s\n",
@@ -127,7 +158,7 @@ static hg_status solve_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
     const char *json = cli_value(arguments, "json", NULL);
     if (status == HG_OK && json)
         status = hg_hair_solution_write(json, motion->name ? motion->name : "motion", &solution);
-    if (status == HG_OK) print_solution(&solution);
+    if (status == HG_OK) print_solution(&solution, options.minimise.method == HG_XPBD, options.dynamic);
     if (status == HG_OK && path)
         printf("%s: %lld frames of %lld strands\n", path, (long long)options.frames,
                (long long)solution.metrics.strands);
@@ -149,7 +180,9 @@ static const hg_argument solve_options[] = {
     { "output", "FILE", "the drape, VTKHDF (-o; default: none is written)", false },
     { "body-out", "FILE", "the body that moves with it, VTKHDF", false },
     { "json", "FILE", "write the numbers there too", false },
-    { "method", "NAME", "lbfgs (default), which gets there, or adam, which does not", false },
+    { "method", "NAME",
+      "lbfgs (default), which gets there; adam, which does not; xpbd: Cosserat rods by position-based dynamics",
+      false },
     { "dynamic", NULL, "each frame with the two before it: inertia and drag act; else each frame is at rest", false },
     { "motion", "FILE", "a motion file (.h5)", false },
     { "clip", "NAME", "a clip of the recipe (default: the first that is held out)", false },
@@ -159,6 +192,13 @@ static const hg_argument solve_options[] = {
     { "frames", "N", "how many (default: all)", false },
     { "strands", "N", "so many, evenly over the groom (default: as many as a training step has)", false },
     { "evaluations", "N", "of the energy, at most, for a frame (default 6000; adam 2000)", false },
+    { "substeps", "N", "xpbd: of a frame (default 20; to rest without --sweeps 1)", false },
+    { "iterations", "N", "xpbd: in each of them (default 1; with --sweeps 10)", false },
+    { "sweeps", NULL, "xpbd: Gauss-Seidel along the strand, as published; else each strand is solved for as a whole",
+      false },
+    { "steps", "N", "xpbd: at most so many until a frame is at rest (default 200)", false },
+    { "strand-distance", "LENGTH",
+      "xpbd: what vertices of different strands keep, like \"0.5 mm\" (default: they do not feel each other)", false },
     { "set", "KEY=VALUE", "override a value of the config, like losses.stretch.stiffness=5", true },
     CLI_CONTEXT_OPTIONS,
 };

@@ -77,15 +77,42 @@ hg_status hg_minimise(hg_minimiser *minimiser, const hg_frame *frame, hg_tensor 
 /* Zero stands for the default. */
 typedef struct {
     int pinned;                          /* first vertices of a strand that go where the posed groom has them; 0: 1 */
-    int substeps, iterations;            /* of a step; 0: 20, and 10 in each */
-    bool dynamic;                        /* velocities are kept; else they are forgotten after every substep: hair comes to rest */
-    bool cold;                           /* multipliers start from zero in every substep, as published; else from those of the one before */
-    double dt;                           /* s, of a step; 0: 1/30 */
-    int64_t steps;                       /* at rest: at most so many of a frame; 0: 200 */
-    double movement;                     /* m: it is at rest when no vertex moves farther in a step; 0: 1e-6 */
-    double strand_distance;              /* m: vertices of different strands keep it between them, or what they have at rest; 0: strands do not feel each other */
-    bool (*stop)(void *); void *stop_self; /* asked once a step, see hg_minimise_options */
+    int substeps, iterations;            /* of a step, and in each; 0: 20 and 10 of sweeps, else 20 (to rest: 1) and 1 */
+    double dt;                           /* s, of a step; 0: the frame's, or 1/30 */
+    bool sweeps;                         /* Gauss-Seidel along the strand, as published; else the constraints of a strand are solved for together */
+    int64_t steps;                       /* to rest: at most so many; 0: 200 */
+    double movement;                     /* m: at rest is what moves less in a step; 0: 1e-6 */
+    double strand_distance;              /* m: that vertices of different strands keep, unless they are closer at rest; 0: strands do not feel each other */
+    bool (*stop)(void *); void *stop_self; /* asked once a step; true: what was reached is left in x, and interrupted is set */
 } hg_xpbd_options;
+
+typedef struct {
+    int64_t strands, at_rest;            /* at_rest: that moved less than the limit in the last step */
+    int64_t steps;
+    double movement;                     /* m: longest way of a vertex in the last step */
+    bool interrupted;
+    const double *orientation;           /* [S,V-1,4] of the edges: their z axis is the edge's direction; the solver's, good until its next call */
+} hg_xpbd_solution;
+
+/* Extended position-based dynamics of Cosserat rods: positions of vertices and orientations of edges, a Gauss-Seidel sweep along every
+ * strand. Constraints and compliances come from the energies, so that what is at rest is their minimum but for what
+ * solvers/xpbd.c says; those that it has no constraint for are left out (hg_xpbd_left_out). Rest data are those of the first groom.
+ * One frame of S strands, f64, on a context of the processor; same bits for any number of threads; nothing is allocated after the first
+ * call, but for strand_distance where strands come closer than ever before.
+ *
+ *     hg_xpbd_create(&xpbd, ctx, terms, n_terms, &groom_data, &(hg_xpbd_options){ .pinned = 2 });
+ *     hg_xpbd_rest(xpbd, &frame, x, &solution);        x: the posed strands before, at rest after
+ *     hg_xpbd_step(xpbd, &next_frame, x, &solution);   moves on by dt: roots and body go from where they were to where the frame has them
+ *     hg_xpbd_destroy(xpbd); */
+typedef struct hg_xpbd hg_xpbd;
+hg_status hg_xpbd_create(hg_xpbd **xpbd, hg_ctx *ctx, const hg_term *terms, int n_terms, const hg_groom_data *data, const hg_xpbd_options *options);
+void      hg_xpbd_destroy(hg_xpbd *xpbd);                        /* NULL is fine */
+const char *hg_xpbd_left_out(const hg_xpbd *xpbd);               /* "adhesion, self_collision"; "": none */
+/* x [1,S,V,3] f64; frame as for hg_physics_evaluate: root_rotation, root_position or posed, body_vertices where there is contact.
+ * HG_NUMERIC where x is not finite, or what it comes to: x is untouched then. */
+hg_status hg_xpbd_place(hg_xpbd *xpbd, const hg_frame *frame, const hg_tensor *x); /* there, without velocity */
+hg_status hg_xpbd_rest(hg_xpbd *xpbd, const hg_frame *frame, hg_tensor *x, hg_xpbd_solution *solution); /* the same, then steps without velocity until nothing moves */
+hg_status hg_xpbd_step(hg_xpbd *xpbd, const hg_frame *frame, hg_tensor *x, hg_xpbd_solution *solution); /* dynamic, from the call before; x gets where it is now */
 
 /* ---- stiffnesses of a drape ------------------------------------------------------------------------------------ */
 

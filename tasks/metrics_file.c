@@ -110,7 +110,9 @@ hg_status hg_hair_solution_write(const char *path, const char *clip, const hg_ha
     hg_hair_json_number(&text, "  ", "seconds", solution->seconds, ",");
     hg_hair_json_number(&text, "  ", "largest_force_newton", solution->force, ",");
     hg_hair_json_number(&text, "  ", "largest_movement_metres", solution->movement, ",");
-    hg_text_add(&text, "  \"minimum\": {\n");
+    hg_text_add(&text, "  \"left_out\": ");
+    hg_hair_json_text(&text, solution->left_out);
+    hg_text_add(&text, ",\n  \"minimum\": {\n");
     one(&text, "    ", &solution->metrics);
     hg_text_add(&text, "  }\n}\n");
     const hg_status status = text.failed ? HG_MEMORY : hg_file_write(path, text.data, text.size);

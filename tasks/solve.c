@@ -20,6 +20,7 @@ typedef struct {
     hg_hair_numbers numbers;
     hg_physics *physics[2]; /* at rest, moving */
     hg_minimiser *minimiser[2];
+    hg_xpbd *xpbd;                            /* in their place */
     int n_terms[2], column[2][HG_HAIR_TERMS]; /* terms of the config */
 
     hg_poser *poser;
@@ -49,6 +50,7 @@ static void solving_free(solving *s)
         hg_physics_destroy(s->physics[k]);
         hg_free(s->triangle[k]);
     }
+    hg_xpbd_destroy(s->xpbd);
     hg_poser_destroy(s->poser);
     hg_body_refit_destroy(s->refit);
     hg_hair_numbers_destroy(&s->numbers);
@@ -88,6 +90,21 @@ static hg_status take_strands(solving *s)
     return hg_hair_numbers_create(&s->numbers, &s->subset, s->task);
 }
 
+static hg_status make_xpbd(solving *s)
+{
+    double params[HG_HAIR_TERMS][HG_ENERGY_PARAMS];
+    hg_term term[HG_HAIR_TERMS];
+    int column[HG_HAIR_TERMS], n = 0;
+    hg_xpbd_options options = s->options->xpbd;
+    HG_TRY(hg_hair_terms_now(s->task, true, params, term, column, &n));
+    options.pinned = s->options->minimise.pinned > 0 ? s->options->minimise.pinned : s->task->pinned;
+    options.stop = s->options->minimise.stop, options.stop_self = s->options->minimise.stop_self;
+    options.dt = 1 / s->task->rate;
+    HG_TRY(hg_xpbd_create(&s->xpbd, s->ctx, term, n, &s->numbers.data, &options));
+    snprintf(s->solution->left_out, sizeof s->solution->left_out, "%s", hg_xpbd_left_out(s->xpbd));
+    return HG_OK;
+}
+
 static hg_status take_energies(solving *s)
 {
     for (int moving = 0; moving < 1 + s->options->dynamic; moving++) {
@@ -103,9 +120,10 @@ static hg_status take_energies(solving *s)
         hg_minimise_options options = s->options->minimise;
         if (!options.pinned) options.pinned = s->task->pinned;
         HG_TRY(hg_physics_create(&s->physics[moving], s->ctx, HG_F64, term, n, &s->numbers.data));
-        HG_TRY(hg_minimiser_create(&s->minimiser[moving], s->ctx, s->physics[moving], 1, s->S, s->V, &options));
+        if (s->options->minimise.method != HG_XPBD)
+            HG_TRY(hg_minimiser_create(&s->minimiser[moving], s->ctx, s->physics[moving], 1, s->S, s->V, &options));
     }
-    return HG_OK;
+    return s->options->minimise.method == HG_XPBD ? make_xpbd(s) : HG_OK;
 }
 
 static hg_status prepare(solving *s)
@@ -220,13 +238,43 @@ static void swap(hg_tensor **a, hg_tensor **b)
     *b = t;
 }
 
+static hg_status by_energy(solving *s, int moving, const hg_frame *frame)
+{
+    hg_solution found;
+    hg_hair_solution *all = s->solution;
+    HG_TRY(hg_minimise(s->minimiser[moving], frame, s->x, &found));
+    all->interrupted = found.interrupted;
+    all->solves += found.strands;
+    all->converged += found.converged;
+    all->stalled += found.stalled;
+    all->evaluations += found.evaluations;
+    all->force = fmax(all->force, found.force);
+    all->movement = fmax(all->movement, found.movement);
+    for (int64_t k = 0; k < found.strands; k++) s->iterations += (double)found.strand[k].iterations;
+    return HG_OK;
+}
+
+static hg_status by_position(solving *s, int moving, const hg_frame *frame)
+{
+    hg_xpbd_solution found;
+    hg_hair_solution *all = s->solution;
+    HG_TRY(moving ? hg_xpbd_step(s->xpbd, frame, s->x, &found) : hg_xpbd_rest(s->xpbd, frame, s->x, &found));
+    all->interrupted = found.interrupted;
+    all->solves += found.strands;
+    s->iterations += (double)(found.strands * found.steps);
+    if (moving) return HG_OK;
+    all->converged += found.at_rest;
+    all->movement = fmax(all->movement, found.movement);
+    return HG_OK;
+}
+
 /* i counts the frames of the solve. */
 static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self)
 {
     hg_step_reset(s->ctx);
     HG_TRY(pose_frame(s, s->options->first + i));
     const int moving = s->options->dynamic && i > 0;
-    if (moving)
+    if (moving && !s->xpbd)
         carry(s);
     else
         HG_TRY(hg_tensor_copy(s->x, s->posed));
@@ -243,20 +291,11 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
         frame.predicted = s->predicted, frame.previous = s->before;
         posed.predicted = s->posed_predicted, posed.previous = s->posed_before;
     }
-    hg_solution found;
-    HG_TRY(hg_minimise(s->minimiser[moving], &frame, s->x, &found));
-    if (found.interrupted) return s->solution->interrupted = true, HG_OK;
+    HG_TRY(s->xpbd ? by_position(s, moving, &frame) : by_energy(s, moving, &frame));
+    if (s->solution->interrupted) return HG_OK;
     const double *x = s->x->data;
     for (int64_t k = 0; k < s->S * s->V * 3; k++) s->out[k] = (float)x[k];
     if (!s->options->dynamic || moving || s->options->frames == 1) HG_TRY(measure(s, moving, &frame, &posed));
-    hg_hair_solution *all = s->solution;
-    all->solves += found.strands;
-    all->converged += found.converged;
-    all->stalled += found.stalled;
-    all->evaluations += found.evaluations;
-    all->force = fmax(all->force, found.force);
-    all->movement = fmax(all->movement, found.movement);
-    for (int64_t k = 0; k < found.strands; k++) s->iterations += (double)found.strand[k].iterations;
     if (s->options->dynamic) {
         swap(&s->older, &s->before);
         swap(&s->posed_older, &s->posed_before);
@@ -335,8 +374,6 @@ hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
                          (long long)motion->frames, (long long)options.strands);
     if (options.frames <= 0 || options.first + options.frames > motion->frames)
         options.frames = motion->frames - options.first;
-    if (options.minimise.method == HG_XPBD)
-        status = hg_fail(HG_UNSUPPORTED, "solve: xpbd is not part of this version yet; lbfgs and adam are");
     solving s = { .task = task,
                   .ctx = hg_ctx_on_host(ctx),
                   .motion = motion,
@@ -348,8 +385,9 @@ hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion
     for (int64_t i = 0; status == HG_OK && i < options.frames && !solution->interrupted; i++) {
         status = one_frame(&s, i, sink, self);
         hg_progress_report(progress, (double)(i + 1) / (double)options.frames,
-                           "solving frame %lld of %lld: %lld of %lld strands at their minimum", (long long)(i + 1),
-                           (long long)options.frames, (long long)solution->converged, (long long)solution->solves);
+                           "solving frame %lld of %lld: %lld of %lld strands at %s", (long long)(i + 1),
+                           (long long)options.frames, (long long)solution->converged, (long long)solution->solves,
+                           s.xpbd ? "rest" : "their minimum");
     }
     if (status == HG_OK) summarise(&s);
     solution->seconds = now() - begun;

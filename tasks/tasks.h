@@ -121,7 +121,7 @@ hg_status hg_hair_metrics_write(const char *path, int n, const char *const *clip
  * the minimum of all energies with the two frames before it. */
 typedef struct {
     hg_minimise_options minimise;        /* pinned 0: the config's; its method says who solves */
-    hg_xpbd_options xpbd;                /* method HG_XPBD: substeps, iterations, cold, steps, movement, strand_distance; the rest is the solve's */
+    hg_xpbd_options xpbd;                /* method HG_XPBD; pinned, dt and stop are the solve's */
     bool dynamic;
     int64_t first, frames;               /* frames 0: to the end of the clip */
     int64_t strands;                     /* so many, evenly over the groom; 0: as many as a training step has */
@@ -132,7 +132,8 @@ typedef struct {
     int64_t solves, converged, stalled;  /* strands times frames; see hg_minimised */
     int64_t evaluations;
     double iterations, seconds;          /* mean of a strand; of it all */
-    double force, movement;              /* largest that is left anywhere: N, m */
+    double force, movement;              /* largest that is left anywhere: N, m. xpbd: no force; movement and converged are those of the last step to rest, and of frames at rest alone */
+    char left_out[256];                  /* xpbd: energies that it has no constraint for, "adhesion, self_collision"; they are in the metrics all the same */
     bool interrupted;
 } hg_hair_solution;
 hg_status hg_hair_solve(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, const hg_hair_solve_options *options,
