@@ -1,6 +1,6 @@
 #!/bin/sh
 # on_cuda.sh PROGRAM WAY: a test program on a GPU, or on the emulated one where there is none. WAY is the order in which the
-# emulator runs threads and blocks (forward, reverse, shuffled), or checked, where it looks at every access of a kernel.
+# emulator runs threads and blocks (forward, shuffled), or checked: in reverse order, and it looks at every access of a kernel.
 program=$1 way=$2
 works() { "$HG_BUILD/hairgrad" devices 2>/dev/null | grep '^cuda' | grep -qv 'not usable'; }
 if works; then
@@ -15,9 +15,8 @@ else
 fi
 case $way in
     forward) EMULATOR_ORDER=0 ;;
-    reverse) EMULATOR_ORDER=1 ;;
     shuffled) EMULATOR_ORDER=2 ;;
-    checked) EMULATOR_ORDER=0 EMULATOR_CHECK=1 ;;
+    checked) EMULATOR_ORDER=1 EMULATOR_CHECK=1 ;;
     *) echo "unknown way $way"; exit 1 ;;
 esac
 export HG_TEST_DEVICE=cuda EMULATOR_ORDER ${EMULATOR_CHECK:+EMULATOR_CHECK}
