@@ -247,6 +247,7 @@ struct hg_hair_task {
     hg_hair_terms terms;
     hg_hair_asks asks;
     char *term_name[HG_HAIR_TERMS][3]; /* weighted, in joule, of a validation: for the log */
+    bool moves;                        /* an energy knows of the frames before */
     double reference;                  /* m g L of the mean strand [J] */
     double clip_vertex;                /* largest force on a vertex that is learnt from [N]; 0: none */
 

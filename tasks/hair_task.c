@@ -94,6 +94,23 @@ static void of_the_past(hg_ctx *ctx, const hg_hair_batch *batch, hg_tensor *past
     hg_no_grad_end(ctx);
 }
 
+/* Without gradient, and without what they were made from. */
+static hg_tensor *strands_before(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *rest,
+                                 hg_tensor *inputs, const int32_t *groom, hg_tensor *rotation, hg_tensor *position)
+{
+    hg_no_grad_begin(ctx);
+    hg_tensor *past = inputs ? hg_tensor_make(ctx, HG_F32, 4,
+                                              (int64_t[]){ inputs->shape[0], part->strands, task->groom->vertices, 3 })
+                             : NULL;
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    const int recorded = hg_tape_count(ctx);
+    const hg_tensor *made = hg_hair_predict(task, ctx, part, groom, inputs, rest, rotation, position);
+    if (!made || !past || hg_tensor_copy(past, made) != HG_OK) past = NULL;
+    if (hg_tape_count(ctx) == recorded) hg_step_rewind(ctx, mark); /* nothing else of it is needed again */
+    hg_no_grad_end(ctx);
+    return past;
+}
+
 hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *batch, hg_hair_subset *subset,
                           hg_tensor **unweighted)
 {
@@ -104,17 +121,11 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *
 
     /* What belongs to the strands, or to their groom, is the same at all times. */
     const hg_hair_part part = hg_hair_part_of(task, ctx, subset);
-    hg_no_grad_begin(ctx);
-    hg_tensor *past = hg_tensor_make(ctx, HG_F32, 4, (int64_t[]){ past_rows, S, task->groom->vertices, 3 });
-    const hg_step_mark mark = hg_step_set_mark(ctx);
-    const int recorded = hg_tape_count(ctx);
-    const hg_tensor *made =
-        hg_hair_predict(task, ctx, &part, batch->groom, hg_tensor_rows(ctx, inputs, 0, past_rows), subset->rest,
-                        hg_tensor_rows(ctx, rotation, 0, past_rows), hg_tensor_rows(ctx, position, 0, past_rows));
-    if (!made || !past || hg_tensor_copy(past, made) != HG_OK) past = NULL;
-    if (hg_tape_count(ctx) == recorded) hg_step_rewind(ctx, mark); /* nothing else of it is needed again */
-    hg_no_grad_end(ctx);
-
+    hg_tensor *past =
+        task->moves
+            ? strands_before(task, ctx, &part, subset->rest, hg_tensor_rows(ctx, inputs, 0, past_rows), batch->groom,
+                             hg_tensor_rows(ctx, rotation, 0, past_rows), hg_tensor_rows(ctx, position, 0, past_rows))
+            : NULL;
     const int32_t *groom = batch->groom + past_rows;
     hg_frame frame = { .groom = groom,
                        .root_rotation = hg_tensor_rows(ctx, rotation, past_rows, B),
@@ -125,7 +136,7 @@ hg_tensor *hg_hair_energy(hg_hair_task *task, hg_ctx *ctx, const hg_hair_batch *
     hg_hair_strands now = { 0 };
     now.x = hg_hair_predict_edges(task, ctx, &part, groom, hg_tensor_rows(ctx, inputs, past_rows, B), subset->rest,
                                   frame.root_rotation, frame.root_position, &now.q);
-    of_the_past(ctx, batch, past, now.x, &frame.previous, &frame.predicted);
+    if (task->moves) of_the_past(ctx, batch, past, now.x, &frame.previous, &frame.predicted);
     if (task->clip_vertex > 0)
         now.x = hg_clip_gradient(ctx, now.x, task->clip_vertex / ((double)(B * S) * task->reference));
     if (!now.x || hg_hair_physics_inputs(task, ctx, subset, batch->material, &now, &frame) != HG_OK) return NULL;
@@ -427,6 +438,18 @@ static hg_status check_runs(const hg_hair_task *task)
     return HG_OK;
 }
 
+/* Where no energy asks for the frames before, they are not predicted. */
+static hg_status look_back(hg_hair_task *task)
+{
+    for (int t = 0; t < task->terms.n; t++) {
+        hg_energy_inputs inputs;
+        HG_TRY(hg_energy_asks(task->terms.term[t].energy, task->terms.term[t].options, false, &inputs));
+        for (int i = 0; i < inputs.n; i++)
+            task->moves |= !strcmp(inputs.input[i].name, "predicted") || !strcmp(inputs.input[i].name, "previous");
+    }
+    return HG_OK;
+}
+
 /* What is given in every call makes another kernel than the config's numbers do: the first call makes it, and says
  * what runs it, which a checkpoint keeps. */
 static hg_status first_call(hg_hair_task *task)
@@ -470,6 +493,7 @@ static hg_status create(hg_hair_task *task, const hg_config *config, const char 
     HG_TRY(hg_hair_whole_model(task));
     hg_progress_report(progress, 0, "physics");
     HG_TRY(hg_hair_subset_create(&task->subset, task, HG_HAIR_TRAINING, 0));
+    HG_TRY(look_back(task));
     task->batch_bytes = hg_hair_batch_bytes(task, hg_config_integer(task->config, "training.frames"), task->subset.n);
     task->validation_batch = hg_alloc(1, hg_hair_batch_bytes(task, task->consecutive, task->subset.n));
     if (!task->validation_batch) return HG_MEMORY;
