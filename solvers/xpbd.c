@@ -1,8 +1,9 @@
 /* xpbd: extended position-based dynamics of Cosserat rods.
  *
  * Kugelstadt and Schoemer 2016 (positions and orientations), Macklin et al. 2016 (compliance), Macklin et al. 2019 (substeps),
- * Deul et al. 2018 (stiffnesses of rods). A hair has positions x_v with masses m_v and orientations q_i of its edges with a
- * moment of inertia I = m l^2/12. A constraint C with stiffness K stands for the energy K/2 |C|^2; from the config's energies:
+ * Deul et al. 2018 (a direct solution for rods). A hair has positions x_v with masses m_v and orientations q_i of its edges. These
+ * have a moment of inertia I = m l^2/12, which sweeps need and a hair of points does not have; direct it is a hundredth of that. A
+ * constraint C with stiffness K stands for the energy K/2 |C|^2; from the config's energies:
  *
  *   stretch-shear   C = (x_{i+1} - x_i)/l0 - rotate(q_i, e3)          K = k l0^2 of `stretch`, k of `cosserat_stretch_shear`
  *   bend-twist      C = Im(s conj(q_i) q_{i+1} - r0)                  K = 4 k/l' of `bend_twist` and `bend_twist_chain`,
@@ -16,7 +17,7 @@
  * strand, or straight from the root edge for `bend_twist`, as the energies have them. `gravity` and `drag` are in the prediction,
  * `inertia` is what the method is, and unit_quaternion holds exactly. With weights; each weight multiplies its stiffness.
  *
- * With q_i = transport(t_0 -> t_i) F q0_0 these sums are `stretch` + `bend_twist` to the last digit (test_xpbd.c). What differs:
+ * With q_i = transport(t_0 -> t_i) F q0_0 these sums are `stretch` and `bend_twist`. What differs:
  * orientations are free. An edge may shear, by F/(k l0) for a force F, 0.1 degrees for hair of 4 mm edges under its own weight; and a
  * curled strand may untwist, which its points alone cannot show. So the least energy is at most that of the config. Planes
  * of contact stay as they were found for a substep (of hair coming to rest: for a step).
@@ -268,7 +269,7 @@ static void fill_lane(const hg_xpbd *s, const hg_xpbd_tile *t, int lane, int64_t
         tangent(rest + 3 * i, &length);
         const double thick = fmax(length, 0.1 * whole / (double)E), mean = i ? (length + last) / 2 : length;
         const double mass = 0.5 * (mass_of(data, strand, i) + mass_of(data, strand, i + 1));
-        t->q_weight[i][lane] = i + 1 < s->pinned ? 0 : 3 / (mass * thick * thick);
+        t->q_weight[i][lane] = i + 1 < s->pinned ? 0 : (s->options.sweeps ? 3 : 300) / (mass * thick * thick);
         t->over_length[i][lane] = 1 / length;
         t->shear[i][lane] = m->stretch * length * length + m->shear;
         t->bend[i][lane] = i ? 4 * (m->bend + m->cosserat / mean) / mean : 4 * m->clamp / mean;
@@ -409,13 +410,12 @@ static void place_lane(const placing *p, const hg_xpbd_tile *t, int lane, int64_
         put(t->q_pin_to + 4 * i, lane, q);
         if (p->x) put(t->q + 4 * i, lane, q), put(t->q_velocity + 4 * i, lane, hg_quatd_make(0, 0, 0, 0));
     }
+    if (p->x) t->pace[0][lane] = 1.0 / 16, t->energy[0][lane] = (double)INFINITY;
     if (!s->E) return;
     const hg_quatd root = hg_quatd_mul(turn, hg_quatd_load(s->rest_frame + strand * s->E * 4));
     put(t->root_pin, lane, p->x ? root : take(t->root_pin_to, lane));
     put(t->root_pin_to, lane, root);
     if (!p->x) return;
-    t->pace[0][lane] = 1.0 / 16;
-    t->energy[0][lane] = (double)INFINITY;
     for (int64_t k = 0; k < s->E; k++) {
         t->shear_force[3 * k][lane] = t->shear_force[3 * k + 1][lane] = t->shear_force[3 * k + 2][lane] = 0;
         put(t->bend_force + 4 * k, lane, hg_quatd_make(0, 0, 0, 0));

@@ -211,13 +211,13 @@ INSIDE vec rotated(quat q, vec a)
     return plus(plus(a, times(t, q.w)), cross(u, t));
 }
 
-/* own[at..] += scale (1 - sigma a a^T) */
+/* own[at..] += scale (1 - sigma a a^T), and a little more: a strand that may turn about itself has nothing that resists. */
 INSIDE void add_projection(block *b, int at, hg_lanes scale, hg_lanes sigma, vec a)
 {
     const hg_lanes c[3] = { a.x, a.y, a.z };
     for (int r = 0; r < 3; r++)
         for (int k = 0; k <= r; k++)
-            b->own[at + r][at + k] += (r == k ? scale : scale - scale) - scale * sigma * c[r] * c[k];
+            b->own[at + r][at + k] += (r == k ? scale * (1 + 1e-10) : scale - scale) - scale * sigma * c[r] * c[k];
 }
 
 INSIDE void add_force(block *b, int at, vec f)

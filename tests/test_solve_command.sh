@@ -35,8 +35,14 @@ holds "moving, nearly all" 'v["solves"] == 60 && v["converged"] >= 50'
 "$program" solve recipe.yaml --clip shake --frames 3 --strands 20 --dynamic -o once.vtkhdf --threads 1 >/dev/null 2>&1
 if cmp moving.vtkhdf once.vtkhdf; then echo "ok the same with one thread"; else echo "not ok the same with one thread"; failed=1; fi
 says "Adam does not get there" 0 '^0 of 10 strands' "$program" solve recipe.yaml --clip shake --frames 1 --strands 10 --method adam --evaluations 50
+says "xpbd" 0 'energy +xpbd' "$program" solve recipe.yaml --clip shake --frames 2 --strands 40 --method xpbd --json result.json
+holds "nearly all at rest" 'v["solves"] == 80 && v["converged"] >= 70 && v["energy_joule_per_strand"] < v["energy_posed_joule_per_strand"]'
+says "xpbd moving" 0 'in the first frame' "$program" solve recipe.yaml --clip shake --frames 3 --strands 20 --dynamic --method xpbd --substeps 4 -o moving.vtkhdf
+says "xpbd with sweeps, strands apart" 0 'energy +xpbd' "$program" solve recipe.yaml --clip shake --frames 2 --strands 20 --dynamic --method xpbd --sweeps --steps 5 --strand-distance "0.2 mm"
+says "what xpbd has no constraint for" 0 'without a constraint of xpbd: adhesion' "$program" solve recipe.yaml --clip shake --frames 1 --strands 20 --method xpbd --set losses.adhesion.weight=1
+says "sweeps of another method" 1 'belongs to --method xpbd' "$program" solve recipe.yaml --sweeps
 says "help" 0 'dynamic' "$program" solve --help
-says "an unknown method" 1 'method newton: lbfgs or adam' "$program" solve recipe.yaml --method newton -o no.vtkhdf
+says "an unknown method" 1 'method newton: lbfgs, adam or xpbd' "$program" solve recipe.yaml --method newton -o no.vtkhdf
 says "no time in it" 1 'knows of time' "$program" solve recipe.yaml --dynamic --frames 2 --set losses.inertia.weight=0 --set losses.drag.weight=0 -o no.vtkhdf
 says "a frame that is not there" 1 'the motion has' "$program" solve recipe.yaml --first 9999 -o no.vtkhdf
 says "a clip that is not there" 1 'no clip "swim"' "$program" solve recipe.yaml --clip swim -o no.vtkhdf
