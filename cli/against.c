@@ -40,48 +40,49 @@ hg_status cli_against_options(const hg_arguments *arguments, cli_against *agains
 
 /* ---- tables ------------------------------------------------------------------------------------------------------ */
 
-static void cell(int width, int decimals, double value, const char *after)
+static void cell(int width, int decimals, double value)
 {
     if (isfinite(value))
-        printf("%*.*f%s", width, decimals, value, after);
+        printf("%*.*f", width, decimals, value);
     else
-        printf("%*s%s", width, "-", after);
+        printf("%*s", width, "-");
 }
 
 static void head_of_part(const char *what, bool moving)
 {
-    printf("%s\n%-12s %-12s %11s %8s %8s %8s %6s %9s %7s %9s", what, "clip", "", "time/frame", "inside", "length",
-           "orient", "curl", "energy", "gap", "gap+body");
-    if (moving) printf(" %7s %7s %6s %7s", "speed", "swing", "corr", "lag");
-    printf(" %8s %8s\n%-12s %-12s %11s %8s %8s %8s %6s %9s %7s", "off", "p95", "", "", "ms", "%", "%", "degrees", "",
-           "nJ", "");
-    if (moving) printf(" %7s %7s %6s %7s", "of ref", "of ref", "", "ms");
-    printf(" %8s %8s\n", "mm", "mm");
+    printf("%s\n%-12s %-12s %9s %7s %7s %8s %5s %11s %7s %7s %7s %8s %7s %7s", what, "clip", "", "time", "inside",
+           "length", "orient", "curl", "energy", "gap", "median", "free", "with", "off", "p95");
+    if (moving) printf(" %6s %6s %6s %7s", "speed", "swing", "corr", "lag");
+    printf("\n%-12s %-12s %9s %7s %7s %8s %5s %11s %7s %7s %7s %8s %7s %7s", "", "", "ms/frame", "%", "%", "degrees",
+           "", "nJ", "", "strand", "of body", "body", "mm", "mm");
+    if (moving) printf(" %6s %6s %6s %7s", "of ref", "of ref", "", "ms");
+    printf("\n");
 }
 
 static void row_of(const char *clip, const hg_against *a, int k, bool moving)
 {
     const hg_against_side *side = &a->side[k], *reference = &a->side[a->reference];
     const hg_against_part *part = moving ? &side->motion : &side->rest;
-    printf("%-12.12s %-12.12s ", clip, side->name);
-    cell(11, 2, 1e3 * part->seconds, " ");
-    cell(8, 3, part->inside, " ");
-    cell(8, 3, part->length_error, " ");
-    cell(8, 2, part->orientation, " ");
-    cell(6, 2, part->curl, " ");
-    cell(9, 2, 1e9 * part->energy, " ");
-    cell(7, 3, part->gap, " ");
-    cell(9, 5, part->gap_contact, "");
+    printf("%-12.12s %-12.12s", clip, side->name);
+    cell(10, 2, 1e3 * part->seconds);
+    cell(8, 3, part->inside);
+    cell(8, 3, part->length_error);
+    cell(9, 2, part->orientation);
+    cell(6, 2, part->curl);
+    cell(12, 2, 1e9 * part->energy);
+    cell(8, 3, part->gap);
+    cell(8, 3, part->gap_median);
+    cell(8, 3, part->gap_free);
+    cell(9, 5, part->gap_contact);
+    cell(8, 2, 1e3 * part->distance);
+    cell(8, 2, 1e3 * part->distance_p95);
     if (moving) {
-        printf(" ");
-        cell(7, 2, side->tips.speed / reference->tips.speed, " ");
-        cell(7, 2, side->tips.excursion / reference->tips.excursion, " ");
-        cell(6, 2, side->tips.correlation, " ");
-        cell(7, 1, 1e3 * side->tips.lag, "");
+        cell(7, 2, side->tips.speed / reference->tips.speed);
+        cell(7, 2, side->tips.excursion / reference->tips.excursion);
+        cell(7, 2, side->tips.correlation);
+        cell(8, 1, 1e3 * side->tips.lag);
     }
-    printf(" ");
-    cell(8, 2, 1e3 * part->distance, " ");
-    cell(8, 2, 1e3 * part->distance_p95, "\n");
+    printf("\n");
 }
 
 static void table_of(const char *what, bool moving, int n, const char *const *clips, const hg_against *all,

@@ -38,8 +38,10 @@ typedef struct {
     scene rest, moving;
     hg_motion *held; /* the poses, as a motion */
     hg_hair_judge judge;
-    double *seen;   /* [sides,T,S,3] tips from their roots */
-    double *ranked; /* distances, excursions: sorted */
+    double *seen;        /* [sides,T,S,3] tips from their roots */
+    double *ranked;      /* distances, excursions: sorted */
+    double *above;       /* [2,sides,T,S] J above the reference; without contact */
+    double *least, *own; /* [2,S] of the reference and of a side in a frame, the same two ways */
 } comparison;
 
 static void scene_free(scene *s, int sides)
@@ -58,6 +60,9 @@ static void comparison_free(comparison *c)
     hg_free(c->strand);
     hg_free(c->seen);
     hg_free(c->ranked);
+    hg_free(c->above);
+    hg_free(c->least);
+    hg_free(c->own);
 }
 
 static double now(void)
@@ -303,6 +308,17 @@ static void distances(const comparison *c, const scene *s, int side, hg_against_
     part->distance_p95 = c->ranked[(n * 95) / 100];
 }
 
+static double median(double *numbers, int64_t n)
+{
+    qsort(numbers, (size_t)n, sizeof *numbers, ascending);
+    return 0.5 * (numbers[(n - 1) / 2] + numbers[n / 2]);
+}
+
+static double *above_of(const comparison *c, const scene *s, bool free, int side, int64_t t)
+{
+    return c->above + ((free * c->out->n_sides + side) * s->frames + t) * c->S;
+}
+
 /* Energies of one frame t of a side: its own, and above the reference's in the energy of the reference's past. */
 static hg_status frame_energies(comparison *c, const scene *s, bool moving, int64_t t, int side, hg_against_part *part,
                                 const double *posed, const double *least)
@@ -310,11 +326,14 @@ static hg_status frame_energies(comparison *c, const scene *s, bool moving, int6
     const int64_t row = c->S * c->V * 3;
     const float *x = s->x[side] + t * row, *y = s->x[c->out->reference] + t * row;
     double own[HG_HAIR_TERMS] = { 0 }, there[HG_HAIR_TERMS] = { 0 };
-    HG_TRY(hg_hair_judge_energies(&c->judge, x, moving ? x - row : NULL, moving ? x - 2 * row : NULL, own));
+    HG_TRY(hg_hair_judge_energies(&c->judge, x, moving ? x - row : NULL, moving ? x - 2 * row : NULL, own, c->own));
     if (moving)
-        HG_TRY(hg_hair_judge_energies(&c->judge, x, y - row, y - 2 * row, there));
+        HG_TRY(hg_hair_judge_energies(&c->judge, x, y - row, y - 2 * row, there, c->own));
     else
         memcpy(there, own, sizeof own);
+    for (int free = 0; free < 2; free++)
+        for (int64_t i = 0; i < c->S; i++)
+            above_of(c, s, free, side, t)[i] = c->own[free * c->S + i] - c->least[free * c->S + i];
     for (int i = 0; i < c->out->n_terms; i++) {
         const bool gravity = !strcmp(c->out->term[i], "gravity");
         part->term_energy[i] += own[i] - (gravity ? posed[i] : 0);
@@ -339,8 +358,9 @@ static hg_status judge_scene(comparison *c, const scene *s, bool moving)
         const float *y = s->x[reference] + t * row;
         double posed[HG_HAIR_TERMS] = { 0 }, least[HG_HAIR_TERMS] = { 0 };
         if (whole) {
-            HG_TRY(hg_hair_judge_energies(&c->judge, s->posed + t * row, NULL, NULL, posed));
-            HG_TRY(hg_hair_judge_energies(&c->judge, y, moving ? y - row : NULL, moving ? y - 2 * row : NULL, least));
+            HG_TRY(hg_hair_judge_energies(&c->judge, s->posed + t * row, NULL, NULL, posed, NULL));
+            HG_TRY(hg_hair_judge_energies(&c->judge, y, moving ? y - row : NULL, moving ? y - 2 * row : NULL, least,
+                                          c->least));
             frames++;
         }
         for (int k = 0; k < sides; k++) {
@@ -362,6 +382,8 @@ static hg_status judge_scene(comparison *c, const scene *s, bool moving)
         part[k]->excess_free *= per_strand;
         for (int i = 0; i < c->out->n_terms; i++) part[k]->energy += part[k]->term_energy[i] *= per_strand;
         distances(c, s, k, part[k]);
+        part[k]->excess_median = median(above_of(c, s, false, k, s->frames - frames), frames * c->S);
+        part[k]->excess_free_median = median(above_of(c, s, true, k, s->frames - frames), frames * c->S);
     }
     return HG_OK;
 }
@@ -373,10 +395,12 @@ void hg_hair_against_gaps(hg_against *a)
         for (int m = 0; m < 2; m++) {
             hg_against_part *part = m ? &a->side[k].motion : &a->side[k].rest;
             const hg_against_part *whole = m ? &posed->motion : &posed->rest;
-            part->gap = part == whole ? 1 : part->excess / whole->excess_free;
-            part->gap_contact = part->excess / whole->excess;
-            if (!(whole->excess_free > 0)) part->gap = (double)NAN;
-            if (!(whole->excess > 0)) part->gap_contact = (double)NAN;
+            const double free = whole->excess_free > 0 ? whole->excess_free : (double)NAN;
+            part->gap = part == whole ? free / free : part->excess / free;
+            part->gap_median = (part == whole ? part->excess_free_median : part->excess_median) /
+                               (whole->excess_free_median > 0 ? whole->excess_free_median : (double)NAN);
+            part->gap_free = part->excess_free / free;
+            part->gap_contact = whole->excess > 0 ? part->excess / whole->excess : (double)NAN;
         }
 }
 
@@ -597,7 +621,10 @@ static hg_status compare(comparison *c)
     }
     const int64_t most = c->options.poses > a->frames ? c->options.poses : a->frames;
     c->ranked = hg_alloc((size_t)(most * c->S * c->V + 2 * c->S), sizeof *c->ranked);
-    if (!c->ranked) return HG_MEMORY;
+    c->above = hg_alloc((size_t)(2 * a->n_sides * most * c->S), sizeof *c->above);
+    c->least = hg_alloc((size_t)c->S * 2, sizeof *c->least);
+    c->own = hg_alloc((size_t)c->S * 2, sizeof *c->own);
+    if (!c->ranked || !c->above || !c->least || !c->own) return HG_MEMORY;
     HG_TRY(judge_scene(c, &c->rest, false));
     if (dynamic) HG_TRY(judge_scene(c, &c->moving, true));
     if (dynamic) HG_TRY(compare_tips(c));

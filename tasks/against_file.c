@@ -18,6 +18,8 @@ static void add_part(hg_against_part *sum, const hg_against_part *part, int n_te
     for (int i = 0; i < n_terms; i++) sum->term_energy[i] += share * part->term_energy[i];
     sum->excess += share * part->excess;
     sum->excess_free += share * part->excess_free;
+    sum->excess_median += share * part->excess_median;
+    sum->excess_free_median += share * part->excess_free_median;
     sum->solves += part->solves;
     sum->converged += part->converged;
     sum->stalled += part->stalled;
@@ -68,8 +70,12 @@ static void write_part(hg_text *text, const char *in, const hg_against *a, const
     hg_hair_json_number(text, in, "distance_metres", part->distance, ",");
     hg_hair_json_number(text, in, "distance_p95_metres", part->distance_p95, ",");
     hg_hair_json_number(text, in, "gap", part->gap, ",");
+    hg_hair_json_number(text, in, "gap_of_median_strand", part->gap_median, ",");
+    hg_hair_json_number(text, in, "gap_without_contact", part->gap_free, ",");
     hg_hair_json_number(text, in, "gap_with_contact_of_posed", part->gap_contact, ",");
     hg_hair_json_number(text, in, "excess_joule_per_strand", part->excess, ",");
+    hg_hair_json_number(text, in, "excess_without_contact_joule_per_strand", part->excess_free, ",");
+    hg_hair_json_number(text, in, "excess_median_joule_per_strand", part->excess_median, ",");
     hg_hair_json_number(text, in, "energy_joule_per_strand", part->energy, ",");
     hg_text_add(text, "%s\"terms_joule_per_strand\": {", in);
     for (int i = 0, n = 0; i < a->n_terms; i++)

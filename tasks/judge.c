@@ -79,6 +79,7 @@ void hg_hair_judge_free(hg_hair_judge *j)
     hg_free(j->contact_point);
     hg_free(j->contact_normal);
     hg_free(j->triangle);
+    hg_free(j->terms);
 }
 
 static hg_status make(hg_hair_judge *j, const int32_t *strand)
@@ -91,8 +92,9 @@ static hg_status make(hg_hair_judge *j, const int32_t *strand)
     j->contact_point = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     j->contact_normal = hg_alloc((size_t)(S * V) * 3, sizeof(float));
     j->triangle = hg_alloc((size_t)(S * V), sizeof(int32_t));
+    j->terms = hg_alloc((size_t)S * HG_HAIR_TERMS, sizeof *j->terms);
     if (!j->ctx || !j->subset.strand || !j->subset.lengths || !j->subset.mass || !j->contact_point ||
-        !j->contact_normal || !j->triangle)
+        !j->contact_normal || !j->triangle || !j->terms)
         return HG_MEMORY;
     memcpy(j->subset.strand, strand, (size_t)S * sizeof *strand);
     for (int64_t i = 0; i < S * V; i++) j->triangle[i] = -1;
@@ -139,7 +141,7 @@ hg_status hg_hair_judge_frame(hg_hair_judge *j, const float *root_rotation, cons
 }
 
 hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *before, const float *older,
-                                 double energy[HG_HAIR_TERMS])
+                                 double energy[HG_HAIR_TERMS], double *per_strand)
 {
     const int moving = before != NULL;
     double terms[HG_HAIR_TERMS];
@@ -164,10 +166,18 @@ hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *
         if (!ghost.value) return hg_ctx_status(j->ctx);
         frame.inputs = &ghost, frame.n_inputs = 1;
     }
-    HG_TRY(hg_physics_evaluate(j->physics[moving], j->ctx, &frame, j->x, terms, NULL, NULL));
-    for (int i = 0; i < j->n_terms[moving]; i++) {
+    HG_TRY(hg_physics_evaluate(j->physics[moving], j->ctx, &frame, j->x, terms, j->terms, NULL));
+    const int n = j->n_terms[moving];
+    for (int64_t k = 0; per_strand && k < 2 * j->S; k++) per_strand[k] = 0;
+    for (int i = 0; i < n; i++) {
         const int column = j->column[moving][i];
-        energy[column] += j->task->terms.term[column].weight * terms[i];
+        const double weight = j->task->terms.term[column].weight;
+        energy[column] += weight * terms[i];
+        for (int64_t k = 0; per_strand && k < j->S; k++) {
+            const double value = weight * j->terms[k * n + i];
+            per_strand[k] += value;
+            if (!j->task->terms.term[column].energy->contact) per_strand[j->S + k] += value;
+        }
     }
     return HG_OK;
 }

@@ -24,6 +24,7 @@ typedef struct {
     hg_body_refit *refit;
     float *contact_point, *contact_normal;
     int32_t *triangle;
+    double *terms; /* [S,terms] */
 } hg_hair_judge;
 
 hg_status hg_hair_judge_create(hg_hair_judge *judge, hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n);
@@ -31,9 +32,10 @@ void hg_hair_judge_free(hg_hair_judge *judge);
 /* The frame that is judged from now on: root_rotation [S,4], root_position [S,3], collider [N,3]. */
 hg_status hg_hair_judge_frame(hg_hair_judge *judge, const float *root_rotation, const float *root_position,
                               const float *collider);
-/* Adds the weighted energies of all strands x [S,V,3] by the config's terms; before and older: of the frames before, NULL: at rest. */
+/* Adds the weighted energies of all strands x [S,V,3] by the config's terms; before and older: of the frames before, NULL: at rest.
+ * per_strand [2,S]: set to the sums of the terms, and to those without contact; NULL: not wanted. */
 hg_status hg_hair_judge_energies(hg_hair_judge *judge, const float *x, const float *before, const float *older,
-                                 double energy[HG_HAIR_TERMS]);
+                                 double energy[HG_HAIR_TERMS], double *per_strand);
 hg_status hg_hair_judge_inside(hg_hair_judge *judge, const float *x, int64_t *inside);
 
 void hg_hair_against_gaps(hg_against *against); /* from what the sides have above the reference */

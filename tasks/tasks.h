@@ -163,7 +163,9 @@ typedef struct {
     double distance, distance_p95;       /* m: of free vertices from the reference's, mean and 95th percentile */
     double energy, term_energy[16];
     double excess, excess_free;          /* J per strand above the reference; without the energies of contact */
-    double gap;                          /* excess over the posed groom's excess_free: 0 is the reference; the posed groom has 1. NAN where it has no excess_free */
+    double excess_median, excess_free_median; /* of strands and frames: one vertex deep in the body is most of a mean */
+    double gap, gap_median;              /* excess over the posed groom's excess_free, and of their medians: 0 is the reference; the posed groom has 1. NAN where it has none */
+    double gap_free;                     /* without contact on either side; hair that goes through the body can be below 0 */
     double gap_contact;                  /* excess over the posed groom's excess: it stands in shoulders, and its contact makes every network look good */
     int64_t solves, converged, stalled;  /* of a solver: strands times frames; neither: an upper bound of the minimum */
 } hg_against_part;
