@@ -40,12 +40,16 @@ hg_status cli_against_options(const hg_arguments *arguments, cli_against *agains
 
 /* ---- tables ------------------------------------------------------------------------------------------------------ */
 
+/* A number that is too long is shortened, so that columns stay apart. */
 static void cell(int width, int decimals, double value)
 {
-    if (isfinite(value))
-        printf("%*.*f", width, decimals, value);
-    else
+    char text[64];
+    if (!isfinite(value)) {
         printf("%*s", width, "-");
+        return;
+    }
+    if (snprintf(text, sizeof text, "%.*f", decimals, value) >= width) snprintf(text, sizeof text, "%.3g", value);
+    printf("%*s", width, text);
 }
 
 static void head_of_part(const char *what, bool moving)
