@@ -61,6 +61,18 @@ static hg_status describe_hair(const hg_hair_task *task, description *d)
     describe(d, "output",
              hg_strdup("displacements [m] of vertices 1..V-1 in head rest space, xyz by vertex; "
                        "x = p + R (rest + d - rest_root), p and R the strand's root frame"));
+    if (hg_hair_turns(task)) {
+        describe(d, "outputs",
+                 hg_format("[{\"name\": \"displacement\", \"first\": 0, \"count\": %lld}, "
+                           "{\"name\": \"turn\", \"first\": %lld, \"count\": %d}]",
+                           (long long)(groom->vertices - 1) * 3, (long long)(groom->vertices - 1) * 3,
+                           hg_hair_turns(task)));
+        describe(
+            d, "turn",
+            hg_strdup(
+                "o, w x y z by edge, in head rest space: the orientation of the edge is R o q0, q0 the frame of the "
+                "rest edge: +z turned to the first edge the short way, and on from edge to edge"));
+    }
     describe(d, "features", features_json(task));
     describe(d, "vertices", hg_format("%lld", (long long)groom->vertices));
     describe(d, "strands", hg_format("%lld", (long long)groom->strands));

@@ -241,6 +241,7 @@ struct hg_hair_task {
     hg_hair_material materials[HG_HAIR_MATERIALS];
     hg_hair_learnt learnt[HG_HAIR_MATERIALS];
     int n_materials, n_learnt;
+    hg_tensor *no_turn;    /* [4]: 1, 0, 0, 0, where there are orientations */
     hg_tensor *output_map; /* [outputs,(V-1)*3]: outputs -> displacements */
     hg_tensor *mean_tensor, *inverse_deviation;
 

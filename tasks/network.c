@@ -45,6 +45,12 @@ static hg_status make_output(hg_hair_task *task)
                        "%s:%d: model.space: world goes with outputs of vertices or edges; the directions of edges are "
                        "turned in the head's space",
                        hg_config_name(config), hg_config_line(config, "model.space"));
+    if (task->orientations) {
+        task->no_turn = hg_tensor_create(task->ctx, HG_F32, 1, (int64_t[]){ 4 });
+        if (!task->no_turn) return HG_MEMORY;
+        task->no_turn->name = "no_turn";
+        HG_TRY(hg_tensor_write(task->no_turn, (float[]){ 1, 0, 0, 0 }));
+    }
     if (task->directions) return HG_OK;
     task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ moved, columns });
     if (!task->output_map) return HG_MEMORY;
@@ -110,7 +116,7 @@ static hg_tensor *place(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *d, hg_
 static hg_tensor *turns(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs)
 {
     if (!outputs) return NULL;
-    const int64_t edges = task->groom->vertices - task->pinned, four = 4;
+    const int64_t edges = task->groom->vertices - task->pinned;
     const int last = outputs->rank - 1;
     int64_t shape[4] = { 0 };
     for (int i = 0; i < last; i++) shape[i] = outputs->shape[i];
@@ -118,7 +124,7 @@ static hg_tensor *turns(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *output
     hg_tensor *o = hg_slice(ctx, outputs, last, edges * 3, edges * 4);
     o = hg_scale(ctx, hg_reshape(ctx, o, last + 2, shape), task->orientation_scale, 0);
     if (task->pinned > 1) o = hg_pad(ctx, o, last, task->pinned - 1, 0);
-    return hg_add(ctx, o, hg_tensor_from(ctx, HG_F32, 1, &four, (float[]){ 1, 0, 0, 0 }));
+    return hg_add(ctx, o, task->no_turn);
 }
 
 /* R o q0, or o R q0 where the axes are the world's, of rows with the roots' rotation [rows,S,4], rest frames q0 [S,V-1,4]. */
@@ -245,6 +251,24 @@ static bool has_strand_formula(const hg_hair_task *task, hg_ctx *ctx)
     return false;
 }
 
+int hg_hair_turns(const hg_hair_task *task) { return task->orientations ? (int)(task->groom->vertices - 1) * 4 : 0; }
+
+/* Outputs as numbers in rows: displacements, then turns where there are any. */
+static hg_tensor *as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
+{
+    if (!outputs) return NULL;
+    const int last = outputs->rank - 1, columns = (int)(task->groom->vertices - 1) * 3;
+    int64_t shape[2][3];
+    for (int k = 0; k < 2; k++) {
+        for (int i = 0; i < last; i++) shape[k][i] = outputs->shape[i];
+        shape[k][last] = k ? hg_hair_turns(task) : columns;
+    }
+    hg_tensor *d = hg_reshape(ctx, displacements(task, ctx, outputs, rest), last + 1, shape[0]);
+    if (!task->orientations) return d;
+    hg_tensor *both[2] = { d, hg_reshape(ctx, turns(task, ctx, outputs), last + 1, shape[1]) };
+    return hg_concat(ctx, last, 2, both);
+}
+
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
 {
     if (!has_strand_formula(task, ctx)) return NULL;
@@ -258,8 +282,7 @@ hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tens
         rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
     }
     in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
-    return hg_reshape(ctx, d, 2, (int64_t[]){ -1, edges * 3 });
+    return as_rows(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
 }
 
 /* Columns first.. of (raw - mean) / deviation. */
@@ -281,6 +304,5 @@ hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *pa
     const int64_t edges = task->groom->vertices - 1;
     hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
     if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
-    hg_tensor *d = displacements(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
-    return d ? hg_reshape(ctx, d, 3, (int64_t[]){ d->shape[0], d->shape[1], edges * 3 }) : NULL;
+    return as_rows(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
 }

@@ -66,7 +66,10 @@ int hg_hair_strand_inputs(const hg_hair_task *task);                            
  * strand's is "rest": its vertices 1.. relative to the root, [(V-1)*3]: what the turned edges start from. */
 hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
 hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t frame, const double *shape, float *out /* [frame_inputs] */);
-/* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. */
+/* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. Behind these, of
+ * a network with `model.orientations`, stand so many columns: the turns o of the edges' frames, [V-1,4] (w,x,y,z), nearly of length
+ * one: the orientation of an edge is R o q0, R the root's rotation and q0 its frame at rest, carried along the rest strand. */
+int hg_hair_turns(const hg_hair_task *task);                                      /* (V-1)*4, or 0 */
 hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
 
 /* The same in two parts: what belongs to the strands, raw [S,strand_inputs] without the rest columns -> [S,width]; and the

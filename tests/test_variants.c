@@ -481,6 +481,79 @@ static void orientations_are_learnt(void **state)
     refused(without, "asks for the orientations of edges, and this network has none");
 }
 
+/* What an exported network says: rows of displacements, then of turns o; the orientation of an edge is R o q0. */
+static void exported_rows_have_turns(void **state)
+{
+    (void)state;
+    static const setting set[] = { COSSERAT, { "model.pinned", "2" }, { "model.output", "directions" }, END };
+    trial s = begin(NULL, of_strands, set);
+    stir(&s);
+    const hg_hair_task *task = s.task;
+    enum { S = 30, E = 6 };
+    const int own = hg_hair_strand_inputs(task), columns = own + task->layout.frame_inputs;
+    const double shape[HG_SHAPES] = { 0.4, -0.2 };
+    float *raw = malloc((size_t)(S * columns) * sizeof *raw), *strand = malloc((size_t)(S * own) * sizeof *strand),
+          *frame = malloc((size_t)columns * sizeof *frame), *rows = malloc(sizeof(float) * S * E * 7),
+          *q = malloc(sizeof(float) * S * E * 4), *rest = malloc(sizeof(float) * S * E * 4),
+          *root = malloc(sizeof(float) * S * 4);
+    assert_int_equal(task->subset.n, S);
+    assert_int_equal(hg_hair_turns(task), E * 4);
+    OK(hg_hair_strand_features(s.task, s.ctx, NULL, S, strand));
+    OK(hg_hair_frame_features(s.task, s.ctx, task->clips[0][1].motion, 12, shape, frame));
+    for (int i = 0; i < S; i++) {
+        memcpy(raw + i * columns, strand + i * own, (size_t)own * sizeof *raw);
+        memcpy(raw + i * columns + own, frame, (size_t)task->layout.frame_inputs * sizeof *raw);
+    }
+    hg_no_grad_begin(s.ctx);
+    const hg_tensor *out =
+        hg_hair_forward_concatenated(s.task, s.ctx, hg_tensor_from(s.ctx, HG_F32, 2, (int64_t[]){ S, columns }, raw));
+    if (!out) fail_msg("%s", hg_message());
+    assert_int_equal(hg_tensor_count(out), S * E * 7);
+    OK(hg_tensor_read(out, rows));
+
+    float *normal = malloc((size_t)task->layout.frame_inputs * sizeof *normal);
+    hg_hair_normalise_frame(task, frame, normal);
+    for (int i = 0; i < S; i++) { /* any rotation will do */
+        const hg_quatd turn = hg_quatd_from_rotation_vector(hg_vec3d_make(0.1 * i, 0.3, -0.05 * i));
+        root[4 * i] = (float)turn.w, root[4 * i + 1] = (float)turn.x, root[4 * i + 2] = (float)turn.y,
+                 root[4 * i + 3] = (float)turn.z;
+    }
+    hg_tensor *made;
+    const hg_hair_part part = hg_hair_part_of(task, s.ctx, &task->subset);
+    hg_hair_predict_edges(task, s.ctx, &part, NULL,
+                          hg_tensor_from(s.ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, normal),
+                          task->subset.rest, hg_tensor_from(s.ctx, HG_F32, 3, (int64_t[]){ 1, S, 4 }, root),
+                          hg_tensor_from(s.ctx, HG_F32, 3, (int64_t[]){ 1, S, 3 }, root), &made);
+    if (!made) fail_msg("%s", hg_message());
+    OK(hg_tensor_read(made, q));
+    OK(hg_tensor_read(task->subset.edges, rest));
+    hg_no_grad_end(s.ctx);
+    double turned = 0;
+    for (int i = 0; i < S * E; i++) {
+        double a[4], b[4], c[4], d[4];
+        for (int k = 0; k < 4; k++) {
+            a[k] = (double)root[i / E * 4 + k];
+            b[k] = (double)rows[i / E * E * 7 + E * 3 + i % E * 4 + k];
+            c[k] = (double)rest[4 * i + k];
+            d[k] = (double)q[4 * i + k];
+        }
+        const hg_quatd r = hg_quatd_mul(hg_quatd_load(a), hg_quatd_mul(hg_quatd_load(b), hg_quatd_load(c)));
+        assert_true(fabs(r.w - d[0]) + fabs(r.x - d[1]) + fabs(r.y - d[2]) + fabs(r.z - d[3]) < 1e-5);
+        if (i % E == 0) assert_true(b[0] == 1 && b[1] == 0 && b[2] == 0 && b[3] == 0); /* pinned */
+        turned = fmax(turned, fabs(b[1]));
+    }
+    assert_true(turned > 1e-3);
+    free(raw);
+    free(strand);
+    free(frame);
+    free(rows);
+    free(q);
+    free(rest);
+    free(root);
+    free(normal);
+    end(&s);
+}
+
 /* ---- ghosts ---------------------------------------------------------------------------------------------------- */
 
 /* Springs to ghosts are at rest where the posed groom is. */
@@ -620,6 +693,7 @@ int main(void)
         cmocka_unit_test(edge_frames_follow_the_strand),
         cmocka_unit_test(gradients_are_right),
         cmocka_unit_test(orientations_are_learnt),
+        cmocka_unit_test(exported_rows_have_turns),
         cmocka_unit_test(ghosts_are_the_posed_groom),
         cmocka_unit_test(locks_off_drops_their_codes),
         cmocka_unit_test(older_runs_are_opened),
