@@ -27,7 +27,7 @@ hg_status hg_hair_style_strands(hg_hair_task *task, hg_hair_style *style)
 
 hg_status hg_hair_encode(hg_hair_task *task)
 {
-    for (int g = 0; g <= task->n_grooms; g++)
+    for (int g = 0; g < task->n_styles; g++)
         if (task->styles[g].raw) HG_TRY(task->network->encode(task, &task->styles[g]));
     return HG_OK;
 }

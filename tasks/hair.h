@@ -210,8 +210,9 @@ struct hg_hair_task {
     bool folder_made, encoder_trained;                         /* now: not there before */
 
     hg_body *body;
-    hg_hair_style *styles;       /* [n_grooms + 1]: those trained on, then one that is only draped */
-    int n_grooms, current;       /* current: the one that is draped and evaluated */
+    hg_hair_style *styles; /* [n_styles]: the n_grooms trained on, then those that are only draped */
+    int n_grooms, n_styles;
+    int current;                 /* the one that is draped and evaluated */
     const hg_groom *groom;       /* of styles[current] */
     hg_hair_clip_data *clips[2]; /* trained on, held out */
     int n_clips[2];
@@ -317,8 +318,14 @@ hg_tensor *hg_hair_predict(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_
 hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
                                  hg_tensor *inputs, hg_tensor *rest, hg_tensor *rotation, hg_tensor *position,
                                  hg_tensor **q);
-/* One frame of the strands of one groom without gradient: inputs [frame_inputs], rest [n,V,3], rotation [n,4], position [n,3]
+/* Frames of any grooms [R,frame_inputs], those of part -> what hg_hair_predict_row takes rows of. */
+hg_tensor *hg_hair_images(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                          hg_tensor *inputs);
+/* Row `row` of it, without gradient: part, rest [n,V,3], rotation [n,4] and position [n,3] of the strands of its groom
  * -> x [n,V,3]. */
+hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
+                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x);
+/* Both, of one frame: inputs [frame_inputs]. */
 hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);
 /* Frames q [V-1,4] of the edges of a rest strand [V,3], carried along it. */

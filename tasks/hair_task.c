@@ -566,7 +566,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
         }
         hg_free(task->clips[held_out]);
     }
-    for (int i = 0; task->styles && i <= task->n_grooms; i++) hg_hair_style_destroy(&task->styles[i]);
+    for (int i = 0; task->styles && i < task->n_styles; i++) hg_hair_style_destroy(&task->styles[i]);
     hg_free(task->styles);
     hg_body_destroy(task->body);
     for (int i = 0; i < HG_HAIR_TERMS; i++)
@@ -623,14 +623,18 @@ const hg_task *hg_hair_task_of(hg_hair_task *task) { return &task->task; }
 hg_model *hg_hair_model(hg_hair_task *task) { return &task->whole; }
 hg_train_options hg_hair_train_options(const hg_hair_task *task) { return task->options; }
 const hg_groom *hg_hair_groom(const hg_hair_task *task) { return task->groom; }
+const char *hg_hair_groom_name(const hg_hair_task *task, int i)
+{
+    return i >= 0 && i < task->n_styles ? task->styles[i].name : NULL;
+}
 int hg_hair_grooms(const hg_hair_task *task) { return task->n_grooms; }
 const hg_groom *hg_hair_groom_at(const hg_hair_task *task, int i)
 {
-    return i >= 0 && i < task->n_grooms ? task->styles[i].groom : NULL;
+    return i >= 0 && i < task->n_styles ? task->styles[i].groom : NULL;
 }
 int64_t hg_hair_left_out(const hg_hair_task *task, int i)
 {
-    return i >= 0 && i < task->n_grooms ? task->styles[i].left_out : task->styles[task->current].left_out;
+    return i >= 0 && i < task->n_styles ? task->styles[i].left_out : task->styles[task->current].left_out;
 }
 const hg_physics *hg_hair_physics(const hg_hair_task *task) { return task->subset.physics; }
 const hg_body *hg_hair_body(const hg_hair_task *task) { return task->body; }

@@ -190,7 +190,7 @@ hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg
     if (!inputs || !part->rows || !rest || !rotation || !position) return NULL;
     const hg_hair_network *network = task->network;
     const int64_t R = inputs->shape[0], S = part->strands;
-    hg_tensor *whole = network->images ? network->images(task, ctx, part, groom, inputs) : inputs;
+    hg_tensor *whole = hg_hair_images(task, ctx, part, groom, inputs);
     const bool with_edges = q && task->orientations && part->edges;
     hg_tensor *pieces[HG_OP_INPUTS], *edges[HG_OP_INPUTS];
     int n = 0, n_edges = 0;
@@ -213,12 +213,17 @@ hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
 }
 
-hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
-                                hg_tensor *rest, const float *rotation, const float *position, float *x)
+hg_tensor *hg_hair_images(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
+                          hg_tensor *inputs)
+{
+    return task->network->images && inputs ? task->network->images(task, ctx, part, groom, inputs) : inputs;
+}
+
+hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
+                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x)
 {
     const hg_hair_network *network = task->network;
-    const int64_t n = part->strands, V = rest->shape[1], F = task->layout.frame_inputs;
-    const int64_t most = network->together ? network->together : n;
+    const int64_t n = part->strands, V = rest->shape[1], most = network->together ? network->together : n;
     const hg_step_mark mark = hg_step_set_mark(ctx);
     hg_no_grad_begin(ctx);
     for (int64_t first = 0; first < n && hg_ctx_status(ctx) == HG_OK; first += most) {
@@ -228,17 +233,30 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
                                     .rows =
                                         network->of_grooms ? part->rows : hg_tensor_rows(ctx, part->rows, first, count),
                                     .texel = hg_tensor_rows(ctx, part->texel, first, count) };
+        hg_tensor *of = hg_tensor_rows(ctx, rest, first, count);
+        hg_tensor *d = displacements(task, ctx, network->outputs(task, ctx, &some, whole, row, 1, 0), of);
         hg_tensor *placed =
-            hg_hair_predict(task, ctx, &some, NULL, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, F }, inputs),
-                            hg_tensor_rows(ctx, rest, first, count),
-                            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
-                            hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
+            place(task, ctx, d, of, hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
+                  hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
         if (placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK)
             hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
         hg_step_rewind(ctx, mark);
     }
     hg_no_grad_end(ctx);
     return hg_ctx_status(ctx);
+}
+
+hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
+                                hg_tensor *rest, const float *rotation, const float *position, float *x)
+{
+    const hg_step_mark mark = hg_step_set_mark(ctx);
+    hg_no_grad_begin(ctx);
+    hg_tensor *whole = hg_hair_images(
+        task, ctx, part, NULL, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, inputs));
+    const hg_status status = hg_hair_predict_row(task, ctx, part, whole, 0, rest, rotation, position, x);
+    hg_no_grad_end(ctx);
+    hg_step_rewind(ctx, mark);
+    return status;
 }
 
 /* ---- formulas, for export ----------------------------------------------------------------------------------- */

@@ -46,6 +46,8 @@ int64_t hg_hair_left_out(const hg_hair_task *task, int i);
 /* The groom to drape and evaluate from now on: one of those trained on, by its file's name or its style, or another: a
  * file or a style. Its strands need as many vertices. */
 hg_status hg_hair_choose_groom(hg_hair_task *task, const char *name);
+hg_status hg_hair_find_groom(hg_hair_task *task, const char *name, int *i); /* the same groom's number, for hg_hair_groom_at; nothing is chosen */
+const char *hg_hair_groom_name(const hg_hair_task *task, int i);
 const hg_physics *hg_hair_physics(const hg_hair_task *task);
 const hg_body  *hg_hair_body(const hg_hair_task *task);
 double hg_hair_rate(const hg_hair_task *task);                    /* frames per second that the network was trained for */
@@ -85,6 +87,18 @@ typedef struct { int64_t frame, strands, vertices; const int32_t *strand; const 
 typedef hg_status (*hg_drape_sink)(void *self, const hg_drape_frame *frame);
 hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t first, int64_t frames, int64_t stride,
                         hg_drape_sink sink, void *self, const hg_progress *progress);
+
+/* Many pairs of a groom and a pose, in their order: what a frame of theirs in hg_hair_drape is. A network that makes images of grooms
+ * makes those of many pairs at once. */
+typedef struct { int groom; /* see hg_hair_find_groom */ const hg_motion *motion; int64_t frame; const double *shape; /* NULL: the neutral body */ } hg_drape_pair;
+typedef struct {
+    int64_t stride;      /* every so many-th strand; 0: all */
+    int64_t together;    /* pairs at once; 0: as many as 256 MB hold of the network's numbers */
+    bool bodies, posed;  /* the frames have body_vertices, posed; else these are NULL */
+} hg_drape_pairs_options;
+typedef hg_status (*hg_drape_pairs_sink)(void *self, int64_t pair, const hg_drape_frame *frame);
+hg_status hg_hair_drape_pairs(hg_hair_task *task, hg_ctx *ctx, int64_t n, const hg_drape_pair *pairs, const hg_drape_pairs_options *options,
+                              hg_drape_pairs_sink sink, void *self, const hg_progress *progress);
 
 /* ---- material of an observed drape --------------------------------------------------------------------------- */
 

@@ -95,15 +95,15 @@ static hg_status load_grooms(hg_hair_task *task)
     if (listed && file[0])
         return hg_fail(HG_INVALID, "%s:%d: %s: either one groom or several", hg_config_name(config),
                        hg_config_line(config, list), list);
-    task->styles = hg_alloc((size_t)listed + 2, sizeof *task->styles);
+    task->styles = hg_alloc((size_t)(listed ? listed : 1), sizeof *task->styles);
     if (!task->styles) return HG_MEMORY;
     if (listed) {
         for (int i = 0; i < listed; i++) {
-            task->n_grooms = i + 1;
+            task->n_grooms = task->n_styles = i + 1;
             HG_TRY(in_config(config, list, add_style(task, i, hg_config_text_at(config, list, i), true)));
         }
     } else {
-        task->n_grooms = 1;
+        task->n_grooms = task->n_styles = 1;
         HG_TRY(file[0] ? in_config(config, "scene.groom", add_style(task, 0, file, true))
                        : add_style(task, 0, hg_config_text(config, "scene.style"), true));
     }
@@ -328,26 +328,35 @@ static bool is_called(const hg_hair_style *style, const char *name)
            (dot && strlen(name) == (size_t)(dot - last) && !strncmp(last, name, strlen(name)));
 }
 
+/* One more, behind those there are. */
+static hg_status load_style(hg_hair_task *task, const char *name)
+{
+    hg_hair_style *styles = hg_alloc((size_t)task->n_styles + 1, sizeof *styles), *style = styles + task->n_styles;
+    if (!styles) return HG_MEMORY;
+    memcpy(styles, task->styles, (size_t)task->n_styles * sizeof *styles);
+    hg_free(task->styles);
+    task->styles = styles;
+    hg_status status = add_style(task, task->n_styles, name, false);
+    if (status == HG_OK) status = measure_rest(task, style);
+    if (status == HG_OK) status = hg_hair_style_strands(task, style);
+    if (status == HG_OK)
+        task->n_styles++;
+    else
+        hg_hair_style_destroy(style);
+    return status;
+}
+
+hg_status hg_hair_find_groom(hg_hair_task *task, const char *name, int *groom)
+{
+    for (*groom = 0; *groom < task->n_styles; ++*groom)
+        if (is_called(&task->styles[*groom], name)) return HG_OK;
+    return load_style(task, name); /* one that was not trained on */
+}
+
 hg_status hg_hair_choose_groom(hg_hair_task *task, const char *name)
 {
-    int found = -1;
-    for (int i = 0; found < 0 && i < task->n_grooms; i++)
-        if (is_called(&task->styles[i], name)) found = i;
-    if (found < 0) { /* one that was not trained on */
-        found = task->n_grooms;
-        hg_hair_style *style = &task->styles[found];
-        hg_hair_style_destroy(style);
-        task->current = 0;
-        task->groom = task->styles[0].groom;
-        hg_hair_subset_destroy(&task->evaluation);
-        hg_status status = add_style(task, found, name, false);
-        if (status == HG_OK) status = measure_rest(task, style);
-        if (status == HG_OK) status = hg_hair_style_strands(task, style);
-        if (status != HG_OK) {
-            hg_hair_style_destroy(style);
-            return status;
-        }
-    }
+    int found;
+    HG_TRY(hg_hair_find_groom(task, name, &found));
     if (found != task->current) hg_hair_subset_destroy(&task->evaluation);
     task->current = found;
     task->groom = task->styles[found].groom;
