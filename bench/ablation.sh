@@ -52,7 +52,7 @@ settings() { # of a variant
     rods) echo "$(without bend_twist stretch) $(with cosserat_stretch_shear stiffness="$pull")" \
         "$(with cosserat_bend_twist stiffness="$(product 1e-8 "$edge")") $(with unit_quaternion stiffness="$(product 20 "$pull")")" ;;
     runs) echo training.frames=4 training.consecutive=4 ;;
-    pose_reg) echo training.frames=4 training.consecutive=4 "$(with pose_reg stiffness=1e-3)" ;;
+    pose_reg) echo training.frames=4 training.consecutive=4 "$(with pose_reg stiffness=1e-5)" ;;
     *) echo "ablation.sh: there is no variant $1; there are: $all" >&2; exit 1 ;;
     esac
 }
