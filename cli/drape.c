@@ -43,6 +43,13 @@ static hg_status drape_run(hg_ctx *ctx, const hg_arguments *arguments, const cha
     hg_drape_file *file = NULL;
     hg_status status = hg_hair_task_open(&task, ctx, arguments->free[0], &progress);
     const char *groom = cli_value(arguments, "groom", NULL);
+    if (cli_value(arguments, "pairs", NULL)) {
+        if (status == HG_OK) status = cli_materials(arguments, task);
+        if (status == HG_OK) status = cli_drape_pairs(ctx, arguments, task, part.stride, path);
+        cli_progress_end();
+        hg_hair_task_destroy(task);
+        return status;
+    }
     if (status == HG_OK && groom) status = hg_hair_choose_groom(task, groom);
     if (status == HG_OK) status = cli_materials(arguments, task);
     if (status == HG_OK) status = choose_motion(arguments, task, &loaded, &motion);
@@ -101,14 +108,21 @@ static const hg_argument drape_options[] = {
     { "material", "NAME=VALUE", "of a network that was trained over a range, like \"bend_twist.stiffness=2e-9 N*m^2\"",
       true },
     { "shape", "NUMBERS", "body shape, like 0.5,0,-1 (default: the neutral body)", false },
+    { "pairs", "FILE|N",
+      "many pairs of a groom and a pose at once, in place of a motion: a line of FILE is GROOM CLIP FRAME [SHAPE]; "
+      "or N that are drawn",
+      false },
     { "first", "N", "first frame (default 0)", false },
     { "frames", "N", "how many (default: all)", false },
     { "stride", "N", "every N-th strand only (default 1)", false },
     CLI_DEVICE_OPTION,
     CLI_CONTEXT_OPTIONS,
 };
-HG_COMMAND(
-    drape, .what = "drape the hair over a motion with a trained network", .usage = "RUN -o FILE.vtkhdf",
-    .options = drape_options, .n_options = sizeof drape_options / sizeof *drape_options, .min_free = 1, .max_free = 1,
-    .run = drape,
-    .more = "  hairgrad drape out/demo/run --clip shake -o out/demo/drape.vtkhdf --body-out out/demo/body.vtkhdf\n");
+HG_COMMAND(drape, .what = "drape the hair over a motion with a trained network", .usage = "RUN -o FILE.vtkhdf",
+           .options = drape_options, .n_options = sizeof drape_options / sizeof *drape_options, .min_free = 1,
+           .max_free = 1, .run = drape,
+           .more =
+               "  hairgrad drape out/demo/run --clip shake -o out/demo/drape.vtkhdf --body-out out/demo/body.vtkhdf\n"
+               "  hairgrad drape out/demo/run --pairs 1000 -o out/demo/pairs.vtkhdf   (a step each; pairs.pairs says "
+               "which is which; "
+               "of several grooms pairs.GROOM.vtkhdf)\n");

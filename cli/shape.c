@@ -18,8 +18,8 @@ static hg_status unknown_shape(const hg_body *body, const char *name, int length
     return HG_INVALID;
 }
 
-/* One --shape: items between commas, a number for the next shape or NAME=number. */
-static hg_status read_shapes(const char *text, const hg_body *body, double shape[HG_SHAPES])
+/* Items between commas, a number for the next shape or NAME=number. */
+hg_status cli_shape_text(const char *text, const hg_body *body, double shape[HG_SHAPES])
 {
     const char *at = text;
     for (int next = 0; *at;) {
@@ -36,8 +36,8 @@ static hg_status read_shapes(const char *text, const hg_body *body, double shape
         char *end;
         const double value = strtod(at, &end);
         if (k == HG_SHAPES || end == at || (*end && *end != ',') || !(value >= -10 && value <= 10))
-            return hg_fail(HG_INVALID, "--shape %s: expected up to %d numbers between -10 and 10, like 0.5,0,-1%s",
-                           text, HG_SHAPES, body ? ", or NAME=number" : "");
+            return hg_fail(HG_INVALID, "shape %s: expected up to %d numbers between -10 and 10, like 0.5,0,-1%s", text,
+                           HG_SHAPES, body ? ", or NAME=number" : "");
         shape[k] = value;
         at = *end ? end + 1 : end;
     }
@@ -50,7 +50,7 @@ hg_status cli_shape_of(const hg_arguments *arguments, const hg_body *body, doubl
     *given = false;
     for (int i = 0; i < arguments->n_given; i++) {
         if (strcmp(arguments->given[i].name, "shape") != 0) continue;
-        HG_TRY(read_shapes(arguments->given[i].value, body, shape));
+        HG_TRY(cli_shape_text(arguments->given[i].value, body, shape));
         *given = true;
     }
     return HG_OK;
