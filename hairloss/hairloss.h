@@ -166,6 +166,10 @@ hg_tensor *hg_physics_unweighted(const hg_physics *physics);
 hg_status  hg_physics_evaluate(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, double *unweighted, double *per_strand, hg_tensor *gradient);
 /* The gradient of the strands as if each were alone: without pairs and neighbour sums. For solvers. */
 hg_status hg_physics_evaluate_alone(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, hg_tensor *gradient);
+/* hg_physics_evaluate on the processor, alone as above or not, with the gradient of a tensor of frame->inputs that needs one
+ * (hg_require_grad), such as q, in its shape. For solvers. */
+hg_status hg_physics_evaluate_with(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, bool alone, double *per_strand, hg_tensor *gradient,
+                                   const hg_tensor *input, hg_tensor *input_gradient);
 /* Until it is let go the body is where it is in the next call: it is fitted once, and contact is searched for vertices that moved since
  * the call before. The results are the same. For solvers, one frame, on the processor; elsewhere it changes nothing. */
 void       hg_physics_hold_body(hg_physics *physics, bool held);

@@ -506,6 +506,28 @@ hg_status hg_physics_evaluate_alone(hg_physics *physics, hg_ctx *ctx, const hg_f
     return status;
 }
 
+hg_status hg_physics_evaluate_with(hg_physics *physics, hg_ctx *ctx, const hg_frame *frame, hg_tensor *x, bool alone,
+                                   double *per_strand, hg_tensor *gradient, const hg_tensor *input,
+                                   hg_tensor *input_gradient)
+{
+    if (!x) return hg_fail(HG_INVALID, "physics: x is NULL");
+    if (!hg_ctx_host(ctx) || !hg_needs_grad(input))
+        return hg_fail(HG_INVALID, "physics: an input's gradient is asked for %s",
+                       hg_ctx_host(ctx) ? "that needs none" : "on a device: this is the processor's");
+    hg_physics_values values;
+    HG_TRY(check(physics, gradient, "gradient", x->rank, x->shape));
+    HG_TRY(check(physics, input_gradient, "the input's gradient", input->rank, input->shape));
+    physics->strands_alone = alone;
+    hg_status status = run(physics, ctx, frame, x, true, &values, per_strand, gradient->data);
+    physics->strands_alone = false;
+    HG_TRY(status);
+    hg_tensor_touch(gradient);
+    const void *made = hg_physics_gradient(ctx, &values, input);
+    if (!made) return HG_MEMORY;
+    HG_TRY(hg_tensor_write(input_gradient, made));
+    return check_trap(physics, ctx, frame, x);
+}
+
 hg_tensor *hg_physics_unweighted(const hg_physics *physics) { return physics->unweighted; }
 
 /* ---- on the tape -------------------------------------------------------------------------------------------- */

@@ -39,8 +39,7 @@ static int slot_of(const hg_problem *p, int i) { return (p->next - p->kept + i +
 
 static void measure_strand(const hg_minimiser *m, int64_t i, double *part)
 {
-    memcpy(m->next_g + i * m->n, (const double *)m->gradient->data + (i * m->V + m->pinned) * 3,
-           (size_t)m->n * sizeof(double));
+    memcpy(m->next_g + i * m->n, m->slope + i * m->n, (size_t)m->n * sizeof(double));
     part[0] = part[1] = 0;
     for (int t = 0; t < m->terms; t++) {
         const double energy = hg_physics_term(m->physics, t)->weight * m->term_energy[i * m->terms + t];
@@ -86,24 +85,24 @@ static void descend_strand(const hg_minimiser *m, int64_t i, const hg_problem *p
 static void direct_strand(const hg_minimiser *m, int64_t i, const hg_problem *p, double *part)
 {
     const int64_t at = i * m->n, n = m->n;
-    double *d = m->d + at, far = 0, bend = 0;
+    const int w = m->width;
+    double *d = m->d + at, bend = 0;
     for (int64_t k = 0; k < n; k++) d[k] = -m->r[at + k];
     for (int a = 0; a < p->kept; a++) {
         const int j = slot_of(p, a);
         for (int64_t k = 0; k < n; k++) d[k] -= p->alpha[j] * m->s[j][at + k];
     }
-    for (int64_t k = 0; k < n; k += 3) {
-        double square = 0, change = 0;
+    for (int64_t k = 0; k < n; k += w) {
+        double turn = 0, change = 0;
         for (int c = 0; c < 3; c++) {
-            const double before = k ? d[k - 3 + c] : 0;
-            square += d[k + c] * d[k + c];
+            const double before = k ? d[k - w + c] : 0;
             change += (d[k + c] - before) * (d[k + c] - before);
         }
-        far = fmax(far, square);
-        bend = fmax(bend, sqrt(change) / m->edge[i * m->V + m->pinned + k / 3]);
+        for (int c = 3; c < w; c++) turn += d[k + c] * d[k + c];
+        bend = fmax(bend, sqrt(fmax(change, turn)) / m->edge[i * m->V + m->pinned + k / w]);
     }
     part[0] = dot(m->g + at, d, n);
-    part[1] = sqrt(far);
+    part[1] = hg_minimise_longest(m, d);
     part[2] = bend;
 }
 
@@ -111,14 +110,14 @@ static void direct_strand(const hg_minimiser *m, int64_t i, const hg_problem *p,
 static void kick_strand(const hg_minimiser *m, int64_t i, double *part)
 {
     const int64_t at = i * m->n, n = m->n;
-    double *d = m->d + at, far = 0, bend = 0;
+    double *d = m->d + at, bend = 0;
     for (int64_t k = 0; k < n; k++) d[k] = m->definite[i] ? 0 : hg_random_normal(23, (uint64_t)i, (uint64_t)k);
     for (int round = 0; round < 6 && !m->definite[i]; round++) {
         hg_strand_solve(m, i, d);
         const double norm = sqrt(dot(d, d, n));
         for (int64_t k = 0; k < n; k++) d[k] /= norm > 0 ? norm : 1;
     }
-    for (int64_t k = 0; k < n; k += 3) far = fmax(far, sqrt(d[k] * d[k] + d[k + 1] * d[k + 1] + d[k + 2] * d[k + 2]));
+    double far = hg_minimise_longest(m, d);
     const double sign = dot(m->g + at, d, n) > 0 ? -1 : 1,
                  scale = far > 0 ? 0.05 * m->edge[i * m->V + m->V - 1] / far : 0;
     for (int64_t k = 0; k < n; k++) d[k] *= sign * scale;
@@ -255,15 +254,15 @@ static hg_status restart(hg_minimiser *m, int64_t *running)
 
 /* ---- a round ----------------------------------------------------------------------------------------------------- */
 
-static void try_steps(const hg_minimiser *m)
+static void try_steps(hg_minimiser *m)
 {
-    double *trial = m->trial->data;
     for (int64_t i = 0; i < m->strands; i++) {
         const hg_problem *p = &m->problem[i / m->group];
         const double step = p->state == HG_PROBLEM_RUNS ? p->step : 0, *x = m->x + i * m->n, *d = m->d + i * m->n;
-        double *out = trial + (i * m->V + m->pinned) * 3;
+        double *out = m->scratch + i * m->n;
         for (int64_t k = 0; k < m->n; k++) out[k] = step != 0 ? x[k] + step * d[k] : x[k];
     }
+    hg_minimise_place(m, m->scratch);
 }
 
 static void judge_step(hg_problem *p, double energy, double size, double slope)

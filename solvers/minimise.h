@@ -1,4 +1,6 @@
-/* minimise (private): what the methods share. Numbers of a strand are its free coordinates alone, [strands,n], n = 3 (V - pinned).
+/* minimise (private): what the methods share. Numbers of a strand are its free ones alone, [strands,n], n = width (V - pinned): of
+ * every free vertex x, and where energies ask for orientations those of the edge before it too, times twice its length: all are
+ * metres then, and a turn counts as the way of the edge's end.
  *
  *   minimise.c        create, evaluate, results
  *   lbfgs.c           L-BFGS, preconditioned by the Hessian of each strand
@@ -44,9 +46,14 @@ struct hg_minimiser {
     int64_t B, S, V, strands, group, problems;
     int64_t n; /* free numbers of a strand */
     int pinned, reach, band, terms;
-    double *term_energy;                /* [strands,terms] */
-    hg_tensor *trial, *gradient;        /* [B,S,V,3] */
-    double *x, *g, *next_g, *d, *q, *r; /* [strands,n] */
+    int width;                       /* numbers of a vertex: 3, with orientations 7 */
+    double *term_energy;             /* [strands,terms] */
+    hg_tensor *trial, *gradient;     /* [B,S,V,3] */
+    hg_tensor *orientation, *torque; /* [B,S,V-1,4] q that is tried and its gradient; NULL without */
+    hg_frame with;                   /* the caller's frame with that q */
+    hg_frame_input *inputs;
+    double *x, *g, *next_g, *d, *scratch, *r; /* [strands,n] */
+    double *slope;                            /* [strands,n] gradient of the last evaluation */
     double *s[HG_MINIMISE_MEMORY], *y[HG_MINIMISE_MEMORY];
     double *edge;             /* [strands,V] length of the edge before a vertex, as it was at the start */
     double *hessian, *factor; /* [strands,n,band + 1], lower */
@@ -54,19 +61,21 @@ struct hg_minimiser {
     double *part;             /* [strands,HG_MINIMISE_PARTS] */
     hg_problem *problem;
     hg_minimised *result; /* [strands] */
-    const hg_frame *frame;
     int64_t evaluations, restarts;
     bool interrupted;
 };
 
-/* At `trial`: energies and gradient, the gradient, or the gradient of strands without each other. */
+/* Where it is tried: energies and gradient, the gradient, or the gradient of strands without each other. */
 typedef enum { HG_ENERGY_AND_GRADIENT, HG_GRADIENT_ALONE, HG_STRANDS_ALONE } hg_minimise_wanted;
 hg_status hg_minimise_evaluate(hg_minimiser *m, hg_minimise_wanted wanted);
-void hg_minimise_place(hg_minimiser *m, const double *x); /* free numbers into `trial` */
+void hg_minimise_place(hg_minimiser *m, const double *x); /* free numbers into what is tried */
+void hg_minimise_place_one(hg_minimiser *m, int64_t strand, int64_t vertex, int axis, double value);
+double hg_minimise_longest(const hg_minimiser *m,
+                           const double *numbers); /* way of a vertex or an edge's end, of a strand */
 bool hg_minimise_stopped(const hg_minimiser *m);
 
 /* Of every strand whose problem is not done, at m->x with gradient m->g: central part of the Hessian by differences, and
- * its factor. Overwrites trial and gradient. */
+ * its factor. Overwrites what is tried, and its gradient. */
 hg_status hg_strand_hessians(hg_minimiser *m);
 void hg_strand_solve(const hg_minimiser *m, int64_t strand, double *numbers); /* in place */
 

@@ -17,9 +17,8 @@ static void step(const void *args, int64_t first, int64_t last)
     const hg_minimiser *m = a->m;
     const double tiny = 1e-300; /* forces of a hair may be of any size */
     for (int64_t i = first; i < last; i++) {
-        const double *gradient = (const double *)m->gradient->data + (i * m->V + m->pinned) * 3;
         for (int64_t k = i * m->n; k < (i + 1) * m->n; k++) {
-            const double g = m->g[k] = gradient[k - i * m->n];
+            const double g = m->g[k] = m->slope[k];
             m->d[k] = 0.9 * m->d[k] + 0.1 * g;
             m->r[k] = 0.999 * m->r[k] + 0.001 * g * g;
             m->x[k] -= a->rate * (m->d[k] / a->first) / (sqrt(m->r[k] / a->second) + tiny);
@@ -43,8 +42,6 @@ hg_status hg_minimise_adam(hg_minimiser *m)
         HG_TRY(hg_minimise_evaluate(m, HG_ENERGY_AND_GRADIENT));
         for (int64_t p = 0; p < m->problems; p++) m->problem[p].iterations++;
     }
-    for (int64_t i = 0; i < m->strands; i++) /* where it stands now, for those who judge it */
-        memcpy(m->g + i * m->n, (const double *)m->gradient->data + (i * m->V + m->pinned) * 3,
-               (size_t)m->n * sizeof(double));
+    memcpy(m->g, m->slope, bytes); /* where it stands now, for those who judge it */
     return HG_OK;
 }

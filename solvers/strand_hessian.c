@@ -2,9 +2,12 @@
  *
  * Energies over windows of R + 1 vertices couple a vertex with R neighbours on each side. Vertices 2R + 1 apart do not touch
  * the same forces, so that one evaluation with all of them moved by h along an axis gives a column of the Hessian for each:
- * 3 (2R + 1) evaluations for all strands at once, whatever the energies are. Where an energy reaches along the whole strand
+ * 3 (2R + 1) evaluations (7 with orientations) for all strands at once, whatever the energies are. Where an energy reaches along the whole strand
  * (frames carried from edge to edge, a root edge that is free), every vertex has its own. Pairs and neighbour sums add to the
  * diagonal alone.
+ *
+ * With orientations both ways are gone and the middle taken: what keeps a quaternion at length one is so much stiffer than what turns
+ * it that the second derivatives of one step would be seen.
  *
  * Where the Hessian is not positive definite, a multiple of the identity is added until it is. */
 #include "solvers/minimise.h"
@@ -26,7 +29,8 @@ static double direction(const hg_minimiser *m, int64_t strand)
 
 typedef struct {
     hg_minimiser *m;
-    const double *gradient; /* [strands,n] at x */
+    const double *gradient, *moved; /* [strands,n] at x, or moved back; moved on */
+    double apart;                   /* how many shifts */
     int64_t colour;
     int axis;
 } column;
@@ -36,16 +40,16 @@ static void take_column(const void *args, int64_t first, int64_t last)
 {
     const column *c = args;
     const hg_minimiser *m = c->m;
-    const int64_t free = m->V - m->pinned, colours = 2 * m->reach + 1, row = m->band + 1;
+    const int64_t free = m->V - m->pinned, colours = 2 * m->reach + 1, row = m->band + 1, w = m->width;
     for (int64_t i = first; i < last; i++) {
         if (m->problem[i / m->group].state >= HG_PROBLEM_DONE) continue;
-        const double h = direction(m, i), *g = c->gradient + i * m->n;
-        const double *moved = (const double *)m->gradient->data + (i * m->V + m->pinned) * 3;
+        const double h = c->apart * direction(m, i), *g = c->gradient + i * m->n;
+        const double *moved = c->moved + i * m->n;
         double *hessian = m->hessian + i * m->n * row;
         for (int64_t v = c->colour; v < free; v += colours) {
             const int64_t low = v > m->reach ? v - m->reach : 0, high = v + m->reach < free ? v + m->reach : free - 1;
-            const int64_t j = 3 * v + c->axis;
-            for (int64_t k = 3 * low; k < 3 * high + 3; k++) {
+            const int64_t j = w * v + c->axis;
+            for (int64_t k = w * low; k < w * high + w; k++) {
                 const double value = (moved[k] - g[k]) / h;
                 if (k == j)
                     hessian[j * row + m->band] = value;
@@ -65,9 +69,9 @@ static void take_diagonal(const void *args, int64_t first, int64_t last)
     const hg_minimiser *m = c->m;
     const int64_t free = m->V - m->pinned, colours = 2 * m->reach + 1, row = m->band + 1;
     for (int64_t i = first; i < last; i++) {
-        const double *moved = (const double *)m->gradient->data + (i * m->V + m->pinned) * 3;
+        const double *moved = c->moved + i * m->n;
         for (int64_t v = c->colour; v < free; v += colours) {
-            const int64_t j = 3 * v + c->axis;
+            const int64_t j = m->width * v + c->axis;
             double *own = m->hessian + (i * m->n + j) * row + m->band;
             *own = fmax(*own, (moved[j] - c->gradient[i * m->n + j]) / direction(m, i));
         }
@@ -129,11 +133,12 @@ void hg_strand_solve(const hg_minimiser *m, int64_t strand, double *z)
     }
 }
 
-static void copy_gradient(const hg_minimiser *m, double *to)
+static void shift_by(hg_minimiser *m, int64_t colour, int axis, double shifts)
 {
     for (int64_t i = 0; i < m->strands; i++)
-        memcpy(to + i * m->n, (const double *)m->gradient->data + (i * m->V + m->pinned) * 3,
-               (size_t)m->n * sizeof *to);
+        for (int64_t v = colour; v < m->V - m->pinned && (m->problem[i / m->group].state < HG_PROBLEM_DONE || !shifts);
+             v += 2 * m->reach + 1)
+            hg_minimise_place_one(m, i, v, axis, m->x[i * m->n + m->width * v + axis] + shifts * direction(m, i));
 }
 
 hg_status hg_strand_hessians(hg_minimiser *m)
@@ -148,7 +153,6 @@ hg_status hg_strand_hessians(hg_minimiser *m)
         .name = "strand_cholesky", .args_size = sizeof(column), .cpu = factor, .block = 4
     };
     const int64_t free = m->V - m->pinned, colours = 2 * m->reach + 1;
-    double *trial = m->trial->data;
     for (int64_t i = 0; i < m->strands; i++)
         if (m->problem[i / m->group].state < HG_PROBLEM_DONE)
             memset(m->hessian + i * m->n * (m->band + 1), 0, (size_t)(m->n * (m->band + 1)) * sizeof *m->hessian);
@@ -156,25 +160,30 @@ hg_status hg_strand_hessians(hg_minimiser *m)
     const double *alone = m->g;
     if (m->group > 1) {
         HG_TRY(hg_minimise_evaluate(m, HG_STRANDS_ALONE));
-        copy_gradient(m, m->next_g);
+        memcpy(m->next_g, m->slope, (size_t)(m->strands * m->n) * sizeof *m->slope);
         alone = m->next_g;
     }
     for (int64_t colour = 0; colour < colours && colour < free; colour++)
-        for (int axis = 0; axis < 3; axis++) {
-            for (int64_t i = 0; i < m->strands; i++)
-                for (int64_t v = colour; m->problem[i / m->group].state < HG_PROBLEM_DONE && v < free; v += colours)
-                    trial[(i * m->V + m->pinned + v) * 3 + axis] = m->x[i * m->n + 3 * v + axis] + direction(m, i);
-            HG_TRY(hg_minimise_evaluate(m, m->group > 1 ? HG_STRANDS_ALONE : HG_GRADIENT_ALONE));
-            const column windows = { m, alone, colour, axis }, all = { m, m->g, colour, axis };
+        for (int axis = 0; axis < m->width; axis++) {
+            const hg_minimise_wanted wanted = m->group > 1 ? HG_STRANDS_ALONE : HG_GRADIENT_ALONE;
+            column windows = { m, alone, m->slope, 1, colour, axis };
+            shift_by(m, colour, axis, 1);
+            HG_TRY(hg_minimise_evaluate(m, wanted));
+            if (m->width > 3) {
+                memcpy(m->r, m->slope, (size_t)(m->strands * m->n) * sizeof *m->slope);
+                shift_by(m, colour, axis, -1);
+                HG_TRY(hg_minimise_evaluate(m, wanted));
+                windows = (column){ m, m->slope, m->r, 2, colour, axis };
+            }
             HG_TRY(hg_launch(m->ctx, &band, m->strands, &windows));
             if (m->group > 1) {
+                shift_by(m, colour, axis, 1);
                 HG_TRY(hg_minimise_evaluate(m, HG_GRADIENT_ALONE));
+                const column all = { m, m->g, m->slope, 1, colour, axis };
                 HG_TRY(hg_launch(m->ctx, &diagonal, m->strands, &all));
             }
-            for (int64_t i = 0; i < m->strands; i++)
-                for (int64_t v = colour; v < free; v += colours)
-                    trial[(i * m->V + m->pinned + v) * 3 + axis] = m->x[i * m->n + 3 * v + axis];
+            shift_by(m, colour, axis, 0);
         }
-    const column every = { m, NULL, 0, 0 };
+    const column every = { m, NULL, NULL, 0, 0, 0 };
     return hg_launch(m->ctx, &factorise, m->strands, &every);
 }

@@ -2,6 +2,8 @@
  * alone; a saddle that is left; strands that hold each other; a pendulum step by step; refusals; threads. */
 #include "hairgrad.h"
 
+#include "geometry/vector.h"
+
 #include <math.h>
 #include <setjmp.h>
 #include <stdarg.h>
@@ -239,6 +241,151 @@ static void test_together(void **state)
     drop(&s);
 }
 
+/* ---- orientations ------------------------------------------------------------------------------------------------ */
+
+/* Frames of the edges, carried along the strand from the z axis. */
+static void edge_frames(const double *x, int64_t strands, double *q)
+{
+    for (int64_t i = 0; i < strands; i++) {
+        hg_vec3d before = { 0, 0, 1 };
+        hg_quatd frame = hg_quatd_identity();
+        for (int64_t v = 0; v + 1 < V; v++) {
+            const double *at = x + (i * V + v) * 3;
+            const hg_vec3d t = hg_vec3d_normalize(hg_vec3d_sub(hg_vec3d_load(at + 3), hg_vec3d_load(at)));
+            frame = hg_quatd_mul(hg_quatd_transport(before, t), frame);
+            hg_quatd_store(q + (i * (V - 1) + v) * 4, frame);
+            before = t;
+        }
+    }
+}
+
+/* The same hair with free orientations: stretch 2 N/m, bending 1e-8 N m^2. */
+static void rod_terms(hg_term terms[4], double numbers[6], double unit)
+{
+    memcpy(numbers, (double[]){ 2 * edge * edge, 1e-8 * edge, unit, 0, -g, 0 }, 6 * sizeof *numbers);
+    terms[0] = (hg_term){ hg_energy_find("cosserat_stretch_shear"), 1, numbers, NULL };
+    terms[1] = (hg_term){ hg_energy_find("cosserat_bend_twist"), 1, numbers + 1, NULL };
+    terms[2] = (hg_term){ hg_energy_find("unit_quaternion"), 1, numbers + 2, NULL };
+    terms[3] = (hg_term){ hg_energy_find("gravity"), 1, numbers + 3, NULL };
+}
+
+static hg_solution solve_rods(scene *s, hg_tensor *q, const hg_minimise_options *options)
+{
+    const hg_frame_input input = { "q", q };
+    return solve(s, options, &(hg_frame){ .inputs = &input, .n_inputs = 1 }, NULL);
+}
+
+/* Straight hair bends in a plane: a rod whose edges hardly shear is the hair of stretch and bend_twist, in place and energy; its
+ * orientations follow the edges. From another start, too, and by Adam on the way there. */
+static void test_rod_without_twist(void **state)
+{
+    (void)state;
+    double rest[V * 3], numbers[6], hair[V * 3], q0[(V - 1) * 4];
+    hg_term terms[4];
+    scene s;
+    straight(rest, 1, 0);
+    chain_terms(terms, numbers, 1e-8, false);
+    make(&s, 1, rest, 1, terms, 3);
+    const hg_solution expected = solve(&s, &(hg_minimise_options){ .pinned = 2 }, NULL, NULL);
+    memcpy(hair, s.x->data, sizeof hair);
+    drop(&s);
+    rod_terms(terms, numbers, 1e-2);
+    make(&s, 1, rest, 1, terms, 4);
+    edge_frames(rest, 1, q0);
+    hg_tensor *q = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, 1, V - 1, 4 });
+    double after = 0;
+    for (int from = 0; from < 3; from++) {
+        double *x = s.x->data;
+        assert_int_equal(hg_tensor_write(s.x, rest), HG_OK);
+        assert_int_equal(hg_tensor_write(q, q0), HG_OK);
+        for (int v = 2; from && v < V; v++) x[3 * v + 1] -= 0.002 * (v - 1);
+        if (from == 1) edge_frames(x, 1, q->data);
+        memcpy(q->data, q0, 4 * sizeof *q0);
+        const hg_solution found = solve_rods(&s, q, &(hg_minimise_options){ .pinned = 2, .evaluations = 20000 });
+        assert_int_equal(found.converged, 1);
+        assert_true(found.after < expected.after); /* it may shear */
+        assert_true(expected.after - found.after < 2e-3 * (expected.before - expected.after));
+        if (from) assert_true(fabs(found.after - after) < 1e-9 * fabs(after));
+        after = found.after;
+        for (int k = 0; k < V * 3; k++) assert_true(fabs(x[k] - hair[k]) < 5e-5); /* the tip sinks by 30 mm */
+        assert_memory_equal(q->data, q0, 4 * sizeof *q0);                         /* that of the held edge */
+        for (int v = 1; v + 1 < V; v++) {
+            const hg_vec3d t = hg_quatd_rotate(hg_quatd_load((double *)q->data + 4 * v), hg_vec3d_make(0, 0, 1));
+            const hg_vec3d e = hg_vec3d_sub(hg_vec3d_load(x + 3 * v + 3), hg_vec3d_load(x + 3 * v));
+            assert_true(hg_vec3d_norm(hg_vec3d_cross(t, hg_vec3d_normalize(e))) < 2e-3);
+        }
+    }
+    assert_int_equal(hg_tensor_write(s.x, rest), HG_OK);
+    assert_int_equal(hg_tensor_write(q, q0), HG_OK);
+    const hg_solution adam =
+        solve_rods(&s, q, &(hg_minimise_options){ .method = HG_ADAM, .pinned = 2, .evaluations = 500 });
+    assert_true(adam.after < adam.before && adam.after > after && adam.converged == 0);
+    hg_tensor_destroy(q);
+    drop(&s);
+}
+
+/* Curled rods: the minimum is that of the position-based rods, another method altogether; and no way from it leads down. */
+static void test_rods_two_ways(void **state)
+{
+    (void)state;
+    double rest[N], numbers[6], place[N];
+    hg_term terms[4];
+    scene s;
+    curled(rest);
+    rod_terms(terms, numbers, 1);
+    make(&s, 2, rest, S, terms, 4);
+    const hg_groom_data data = { .grooms = 1, .strands = S, .vertices = V, .rest = rest, .mass = s.mass };
+    hg_xpbd *xpbd;
+    hg_xpbd_solution rods;
+    if (hg_xpbd_create(&xpbd, s.ctx, terms, 4, &data, &(hg_xpbd_options){ .pinned = 2, .movement = 1e-12 }) != HG_OK ||
+        hg_xpbd_rest(xpbd, &(hg_frame){ 0 }, s.x, &rods) != HG_OK)
+        fail_msg("%s", hg_message());
+    assert_int_equal(rods.at_rest, S);
+    memcpy(place, s.x->data, sizeof place);
+    hg_tensor *q = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, S, V - 1, 4 });
+    edge_frames(rest, S, q->data);
+    assert_int_equal(hg_tensor_write(s.x, rest), HG_OK);
+    const hg_solution found = solve_rods(&s, q, &(hg_minimise_options){ .pinned = 2, .evaluations = 40000 });
+    assert_int_equal(found.converged, S);
+    for (int k = 0; k < N; k++) assert_true(fabs(((double *)s.x->data)[k] - place[k]) < 1e-6);
+    for (int i = 0; i < S * (V - 1); i++) { /* q and -q are one */
+        const double *a = (double *)q->data + 4 * i, *b = rods.orientation + 4 * i;
+        assert_true(fabs(fabs(a[0] * b[0] + a[1] * b[1] + a[2] * b[2] + a[3] * b[3]) - 1) < 1e-5);
+    }
+    hg_xpbd_destroy(xpbd);
+    hg_tensor_destroy(q);
+    drop(&s);
+}
+
+static void test_orientations_refused(void **state)
+{
+    (void)state;
+    double rest[V * 3], numbers[6];
+    hg_term terms[4];
+    scene s;
+    straight(rest, 1, 0);
+    rod_terms(terms, numbers, 1e-2);
+    make(&s, 1, rest, 1, terms, 4);
+    hg_minimiser *m;
+    assert_int_equal(hg_minimiser_create(&m, s.ctx, s.physics, 1, 1, V, NULL), HG_OK);
+    assert_int_equal(hg_minimise(m, &(hg_frame){ 0 }, s.x, NULL), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "bring q"));
+    hg_tensor *q = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, 1, V - 1, 4 });
+    edge_frames(rest, 1, q->data);
+    ((double *)q->data)[4 * 3] = (double)NAN;
+    const hg_frame_input input = { "q", q };
+    assert_int_equal(hg_minimise(m, &(hg_frame){ .inputs = &input, .n_inputs = 1 }, s.x, NULL), HG_NUMERIC);
+    assert_non_null(strstr(hg_message(), "edge 3"));
+    assert_memory_equal(s.x->data, rest, sizeof rest);
+    hg_tensor *narrow = hg_tensor_create(s.ctx, HG_F64, 4, (int64_t[]){ 1, 1, V, 4 });
+    const hg_frame_input wrong = { "q", narrow };
+    assert_int_equal(hg_minimise(m, &(hg_frame){ .inputs = &wrong, .n_inputs = 1 }, s.x, NULL), HG_INVALID);
+    hg_tensor_destroy(narrow);
+    hg_tensor_destroy(q);
+    hg_minimiser_destroy(m);
+    drop(&s);
+}
+
 static void test_adam_is_honest(void **state)
 {
     (void)state;
@@ -399,6 +546,9 @@ int main(void)
         cmocka_unit_test(test_curled_from_anywhere),
         cmocka_unit_test(test_leaves_a_saddle),
         cmocka_unit_test(test_together),
+        cmocka_unit_test(test_rod_without_twist),
+        cmocka_unit_test(test_rods_two_ways),
+        cmocka_unit_test(test_orientations_refused),
         cmocka_unit_test(test_adam_is_honest),
         cmocka_unit_test(test_threads),
         cmocka_unit_test(test_refusals_and_memory),
