@@ -41,8 +41,8 @@ typedef struct {
 /* One strand; where strands act on each other, its iterations are those of its frame, and so is what new Hessians brought. */
 typedef struct {
     double before, after;                /* J, weighted: sum of its terms at the start and at the end */
-    double force;                        /* N: largest on a free vertex */
-    double movement;                     /* m: longest way of a vertex in a full Newton step from here */
+    double force;                        /* N: largest on a free vertex, or of the turning of an edge at its end */
+    double movement;                     /* m: longest way of a vertex, or of an edge's end that turns, in a full Newton step from here */
     int32_t iterations;
     bool converged;                      /* movement is below the limit, and the Hessian along the strand is positive definite */
     bool stalled;                        /* L-BFGS: not so, but new Hessians, two in a row (eight for a frame), brought less than 1e-8 of the descent: it lies in a kink of the energy,
@@ -58,7 +58,7 @@ typedef struct {
     const hg_minimised *strand;          /* [B,S], the minimiser's: good until its next call */
 } hg_solution;
 
-/* Minimises a physics over the free vertices of B frames of S strands. L-BFGS (Nocedal and Wright 2006) whose inverse Hessian starts
+/* Minimises a physics over the free vertices of B frames of S strands, and the orientations of their edges where energies know them. L-BFGS (Nocedal and Wright 2006) whose inverse Hessian starts
  * from that of each strand along itself, found by differences of the gradient, so that it knows every energy, also a user's own.
  * Where only energies of single strands act, each strand has its own history, step and end, and all advance together; with
  * pairs or neighbour sums a frame is one problem. It is made anew until nothing moves. Contact is searched in every evaluation.
@@ -68,7 +68,9 @@ typedef struct {
 typedef struct hg_minimiser hg_minimiser;
 hg_status hg_minimiser_create(hg_minimiser **minimiser, hg_ctx *ctx, hg_physics *physics, int64_t frames, int64_t strands, int64_t vertices, const hg_minimise_options *options);
 void      hg_minimiser_destroy(hg_minimiser *minimiser);         /* NULL is fine */
-/* x [B,S,V,3] f64: the start, then the minimum; frame as for hg_physics_evaluate. HG_NUMERIC where the start is not finite or has no
+/* x [B,S,V,3] f64: the start, then the minimum; frame as for hg_physics_evaluate. Where energies ask for orientations, q of
+ * frame->inputs (f64 [B,S,V-1,4]) is an unknown like x: the start, then those of the minimum; edges whose two vertices are held keep
+ * theirs. HG_NUMERIC where the start is not finite or has no
  * finite energy; x is untouched then. Not to converge is no error: the solution says so. */
 hg_status hg_minimise(hg_minimiser *minimiser, const hg_frame *frame, hg_tensor *x, hg_solution *solution);
 

@@ -31,6 +31,8 @@ typedef struct {
     hg_tensor *x, *posed, *before, *older, *posed_before, *posed_older, *predicted,
         *posed_predicted; /* f64 [1,S,V,3] */
     hg_tensor *root_rotation, *root_position, *body_vertices;
+    float *edges;           /* [S,V-1,4] frames of the rest groom; NULL: no energy asks for orientations */
+    hg_tensor *q, *posed_q; /* f64 [1,S,V-1,4] */
 
     double energy[2][HG_HAIR_TERMS], iterations;
     hg_hair_segments shapes;
@@ -41,8 +43,9 @@ typedef struct {
 static void solving_free(solving *s)
 {
     hg_tensor *const tensors[] = {
-        s->x,         s->posed,           s->before,        s->older,         s->posed_before, s->posed_older,
-        s->predicted, s->posed_predicted, s->root_rotation, s->root_position, s->body_vertices
+        s->x,         s->posed,           s->before,        s->older,         s->posed_before,  s->posed_older,
+        s->predicted, s->posed_predicted, s->root_rotation, s->root_position, s->body_vertices, s->q,
+        s->posed_q
     };
     for (size_t i = 0; i < sizeof tensors / sizeof *tensors; i++) hg_tensor_destroy(tensors[i]);
     for (int k = 0; k < 2; k++) {
@@ -61,6 +64,7 @@ static void solving_free(solving *s)
                                s->out,  s->collider, s->contact_point, s->contact_normal };
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) hg_free(numbers[i]);
     hg_free(s->turned);
+    hg_free(s->edges);
 }
 
 /* ---- what is solved ------------------------------------------------------------------------------------------- */
@@ -126,6 +130,16 @@ static hg_status take_energies(solving *s)
     return s->options->minimise.method == HG_XPBD ? make_xpbd(s) : HG_OK;
 }
 
+static hg_status prepare_edges(solving *s)
+{
+    s->edges = hg_alloc((size_t)(s->S * (s->V - 1) * 4) + 1, sizeof *s->edges);
+    s->q = hg_tensor_create(s->ctx, HG_F64, 4, (int64_t[]){ 1, s->S, s->V - 1, 4 });
+    s->posed_q = hg_tensor_create(s->ctx, HG_F64, 4, (int64_t[]){ 1, s->S, s->V - 1, 4 });
+    if (!s->edges || !s->q || !s->posed_q) return HG_MEMORY;
+    for (int64_t i = 0; i < s->S; i++) hg_hair_edge_frames(s->rest + i * s->V * 3, s->V, s->edges + i * (s->V - 1) * 4);
+    return HG_OK;
+}
+
 static hg_status prepare(solving *s)
 {
     HG_TRY(take_strands(s));
@@ -156,7 +170,8 @@ static hg_status prepare(solving *s)
     s->root_rotation = hg_tensor_create(s->ctx, HG_F64, 3, (int64_t[]){ 1, S, 4 });
     s->root_position = hg_tensor_create(s->ctx, HG_F64, 3, (int64_t[]){ 1, S, 3 });
     s->body_vertices = hg_tensor_create(s->ctx, HG_F64, 3, (int64_t[]){ 1, N, 3 });
-    return s->root_rotation && s->root_position && s->body_vertices ? HG_OK : HG_MEMORY;
+    if (!s->root_rotation || !s->root_position || !s->body_vertices) return HG_MEMORY;
+    return s->task->asks.q ? prepare_edges(s) : HG_OK;
 }
 
 /* ---- one frame ------------------------------------------------------------------------------------------------ */
@@ -181,6 +196,32 @@ static hg_status pose_frame(solving *s, int64_t frame)
     widen(s->root_position, s->position);
     widen(s->body_vertices, s->collider);
     return hg_ctx_status(s->ctx);
+}
+
+static hg_quatd quaternion(const float *q)
+{
+    return hg_quatd_make((double)q[0], (double)q[1], (double)q[2], (double)q[3]);
+}
+
+/* Frames of the posed groom's edges; the solve starts from them, or from those of the frame before, turned with its root. */
+static void pose_edges(solving *s, bool moving)
+{
+    const double *root = s->root_rotation->data;
+    double *posed = s->posed_q->data, *q = s->q->data;
+    for (int64_t i = 0; i < s->S; i++) {
+        const hg_quatd R = hg_quatd_load(root + 4 * i);
+        const hg_quatd turn = hg_quatd_mul(R, hg_quatd_conj(hg_quatd_load(s->turned + 7 * i)));
+        for (int64_t v = 0; v + 1 < s->V; v++) {
+            const int64_t at = (i * (s->V - 1) + v) * 4;
+            hg_quatd_store(posed + at, hg_quatd_normalize(hg_quatd_mul(R, quaternion(s->edges + at))));
+            if (moving && v + 1 >= s->task->pinned && v + 1 >= s->options->minimise.pinned)
+                hg_quatd_store(q + at, hg_quatd_mul(turn, hg_quatd_load(q + at)));
+            else
+                memcpy(q + at, posed + at, 4 * sizeof *q);
+        }
+    }
+    hg_tensor_touch(s->q);
+    hg_tensor_touch(s->posed_q);
 }
 
 /* A frame that moves starts where the one before was, carried along with its root. */
@@ -262,6 +303,7 @@ static hg_status by_position(solving *s, int moving, const hg_frame *frame)
     all->interrupted = found.interrupted;
     all->solves += found.strands;
     s->iterations += (double)(found.strands * found.steps);
+    if (s->q) HG_TRY(hg_tensor_write(s->q, found.orientation));
     if (moving) return HG_OK;
     all->converged += found.at_rest;
     all->movement = fmax(all->movement, found.movement);
@@ -282,9 +324,17 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
                        .root_position = s->root_position,
                        .body_vertices = s->body_vertices,
                        .dt = 1 / s->task->rate };
-    const hg_frame_input ghost = { "ghost", s->posed };
-    if (s->task->asks.ghost) frame.inputs = &ghost, frame.n_inputs = 1;
+    hg_frame_input inputs[2], inputs_posed[2];
+    int n = 0;
+    if (s->task->asks.ghost) inputs[n] = inputs_posed[n] = (hg_frame_input){ "ghost", s->posed }, n++;
+    if (s->task->asks.q) {
+        pose_edges(s, moving);
+        inputs[n] = (hg_frame_input){ "q", s->q };
+        inputs_posed[n++] = (hg_frame_input){ "q", s->posed_q };
+    }
+    frame.inputs = inputs, frame.n_inputs = n;
     hg_frame posed = frame;
+    posed.inputs = inputs_posed;
     if (moving) {
         predict(s->predicted, s->before, s->older);
         predict(s->posed_predicted, s->posed_before, s->posed_older);

@@ -40,6 +40,10 @@ holds "nearly all at rest" 'v["solves"] == 80 && v["converged"] >= 70 && v["ener
 says "xpbd moving" 0 'in the first frame' "$program" solve recipe.yaml --clip shake --frames 3 --strands 20 --dynamic --method xpbd --substeps 4 -o moving.vtkhdf
 says "xpbd with sweeps, strands apart" 0 'energy +xpbd' "$program" solve recipe.yaml --clip shake --frames 2 --strands 20 --dynamic --method xpbd --sweeps --steps 5 --strand-distance "0.2 mm"
 says "what xpbd has no constraint for" 0 'without a constraint of xpbd: adhesion' "$program" solve recipe.yaml --clip shake --frames 1 --strands 20 --method xpbd --set losses.adhesion.weight=1
+rods="--set losses.cosserat_stretch_shear.weight=1 --set losses.cosserat_bend_twist.weight=1 --set losses.unit_quaternion.weight=100"
+says "orientations" 0 'cosserat_bend_twist' "$program" solve recipe.yaml --clip shake --frames 2 --strands 10 --dynamic --json result.json $rods --set losses.bend_twist.weight=0 --set losses.stretch.weight=0
+holds "rods at their minimum" 'v["solves"] == 20 && v["converged"] >= 16 && v["length_error_percent"] < 3'
+says "orientations by xpbd" 0 'cosserat_bend_twist' "$program" solve recipe.yaml --clip shake --frames 1 --strands 10 --method xpbd $rods --set losses.bend_twist.weight=0 --set losses.stretch.weight=0
 says "sweeps of another method" 1 'belongs to --method xpbd' "$program" solve recipe.yaml --sweeps
 says "help" 0 'dynamic' "$program" solve --help
 says "an unknown method" 1 'method newton: lbfgs, adam or xpbd' "$program" solve recipe.yaml --method newton -o no.vtkhdf
