@@ -20,7 +20,7 @@ static hg_status draw_energies(hg_image *image, int x, int y, int width, int hei
         for (int k = 0; k < a->n_sides; k++) {
             const hg_against_part *part = &a->side[k].rest;
             values[n * a->n_sides + k] = 1e9 * (i < a->n_terms ? part->term_energy[i] : part->energy);
-            if (k + 1 < a->n_sides) limit = fmax(limit, fabs(values[n * a->n_sides + k]));
+            if (k == 0 || k == a->reference) limit = fmax(limit, fabs(values[n * a->n_sides + k]));
         }
         n++;
     }

@@ -250,10 +250,13 @@ static int widest_of(int n, const char *const *names, int scale)
     return widest;
 }
 
-/* Above the field, in a row. */
-static void draw_bar_names(hg_image *image, const field *f, int y, int scale, int n, const char *const *names)
+/* Above the field in a row, that ends at `right` at the latest. */
+static void draw_bar_names(hg_image *image, const field *f, int y, int right, int scale, int n,
+                           const char *const *names)
 {
-    int x = f->left;
+    int wide = 0;
+    for (int k = 0; k < n; k++) wide += 18 * scale + hg_text_width(names[k], scale);
+    int x = f->left + wide > right ? right - wide : f->left;
     for (int k = 0; k < n; k++) {
         hg_draw_rectangle(image, x, y, 7 * scale, 7 * scale, curve_colour[k % 8], 1.0f);
         hg_image_text(image, x + 10 * scale, y, scale, ink, names[k]);
@@ -304,7 +307,7 @@ hg_status hg_plot_bars(hg_image *image, int x, int y, int width, int height, con
         }
     }
     hg_draw_line(image, across(&f, 0), f.top, across(&f, 0), f.top + f.height, 1.5, ink);
-    draw_bar_names(image, &f, y + 20 * scale, scale, n_bars, bars);
+    draw_bar_names(image, &f, y + 20 * scale, x + width, scale, n_bars, bars);
     if (title) hg_image_text(image, x + (width - hg_text_width(title, scale)) / 2, y + 6 * scale, scale, ink, title);
     if (label)
         hg_image_text(image, f.left + (f.width - hg_text_width(label, scale)) / 2, y + height - 11 * scale, scale, ink,
