@@ -448,6 +448,27 @@ static void a_drape_is_what_training_predicts(void **state)
     end(&s);
 }
 
+/* Everything that a recipe needs is there, and makes a network. */
+static void recipes(void **state)
+{
+    (void)state;
+    static const char *const names[] = { "quaffure", "dynamic_quaffure" };
+    for (int i = 0; i < 2; i++) {
+        hg_ctx *ctx = NULL;
+        hg_findings findings = { 0 };
+        char path[500];
+        snprintf(path, sizeof path, "%s/examples/recipes/%s.yaml", getenv("HG_SOURCE") ? getenv("HG_SOURCE") : ".",
+                 names[i]);
+        OK(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2 }));
+        OK(hg_hair_config_check(ctx, &findings, path));
+        for (int k = 0; k < findings.n; k++)
+            if (findings.list[k].severity == HG_ERROR) fail_msg("%s: %s", path, findings.list[k].text);
+        assert_true(findings.n >= 4);
+        hg_findings_free(&findings);
+        hg_ctx_destroy(ctx);
+    }
+}
+
 /* ---- what cannot be ----------------------------------------------------------------------------------------- */
 
 static void refuses(void **state)
@@ -489,6 +510,7 @@ int main(void)
         cmocka_unit_test(a_resumed_run_is_the_same_and_opens),
         cmocka_unit_test(a_step_waits_for_nothing),
         cmocka_unit_test(a_drape_is_what_training_predicts),
+        cmocka_unit_test(recipes),
         cmocka_unit_test(refuses),
     };
     return cmocka_run_group_tests(tests, make_folder, remove_folder);
