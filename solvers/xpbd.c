@@ -410,7 +410,7 @@ static void place_lane(const placing *p, const hg_xpbd_tile *t, int lane, int64_
         put(t->q_pin_to + 4 * i, lane, q);
         if (p->x) put(t->q + 4 * i, lane, q), put(t->q_velocity + 4 * i, lane, hg_quatd_make(0, 0, 0, 0));
     }
-    if (p->x) t->pace[0][lane] = 1.0 / 16, t->energy[0][lane] = (double)INFINITY;
+    if (p->x) t->pace[0][lane] = 1.0 / 16, t->energy[0][lane] = t->moved[0][lane] = (double)INFINITY;
     if (!s->E) return;
     const hg_quatd root = hg_quatd_mul(turn, hg_quatd_load(s->rest_frame + strand * s->E * 4));
     put(t->root_pin, lane, p->x ? root : take(t->root_pin_to, lane));
@@ -450,6 +450,7 @@ static hg_status place(hg_xpbd *s, const hg_frame *frame, const double *x)
             way = fmax(way, hg_vec3d_distance(hg_vec3d_load(s->body_from + i), hg_vec3d_load(s->body_to + i)));
         s->body_way = way;
         s->fitted = false;
+        if (x) s->known = false;
         for (int64_t i = 0; x && i < s->S * s->V; i++) s->triangle[i] = -1, s->room[i] = -1;
     }
     if (x) memcpy(s->points, x, (size_t)(s->S * s->V * 3) * sizeof *x);

@@ -58,6 +58,7 @@ struct hg_xpbd {
     double *body, *body_from, *body_to, *contact_point, *contact_normal;
     double body_way; /* m: longest of a vertex of the body in a step */
     bool fitted;     /* refit is of body_to, which does not move */
+    bool known;      /* every vertex was searched for since it was placed */
     int32_t *triangle;
     double *room;     /* [S,V] m: that a vertex can still go without coming into contact */
     double *searched; /* [S,V,3] where a vertex was when its contact was looked at */

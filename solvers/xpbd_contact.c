@@ -24,7 +24,9 @@ hg_status hg_xpbd_find_contact(hg_xpbd *s, double part, double way)
     for (int64_t i = 0; i < s->S * s->V; i++) {
         double *was = s->searched + 3 * i;
         const double *x = s->points + 3 * i;
-        s->room[i] -= way + distance(x, was);
+        const double gone = way + distance(x, was);
+        if (gone == 0 && s->known) continue;
+        s->room[i] -= gone;
         for (int c = 0; c < 3; c++) was[c] = x[c];
         if (s->room[i] > 0) continue;
         const int64_t k = s->asked++;
@@ -32,6 +34,7 @@ hg_status hg_xpbd_find_contact(hg_xpbd *s, double part, double way)
         s->ask_triangle[k] = s->triangle[i];
         for (int c = 0; c < 3; c++) s->ask_point[3 * k + c] = x[c];
     }
+    s->known = true;
     HG_TRY(hg_body_closest(s->ctx, s->refit, s->mode, reach, s->asked, s->ask_point, s->ask_triangle, s->ask_contact,
                            s->ask_normal));
     for (int64_t k = 0; k < s->asked; k++) {

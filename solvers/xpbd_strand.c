@@ -10,9 +10,7 @@
 #include <math.h>
 #include <string.h>
 
-#if defined(__GNUC__) && !defined(__clang__)
-#pragma GCC diagnostic ignored "-Wpsabi" /* nothing that is passed in vectors leaves this file */
-#endif
+#pragma GCC diagnostic ignored "-Wpsabi"                    /* nothing that is passed in vectors leaves this file */
 static const double PACE_MOST = 1e4, PACE_LEAST = 1.0 / 50; /* of h^2 */
 
 #define INSIDE static inline __attribute__((always_inline))
@@ -327,7 +325,7 @@ INSIDE void eliminate(const block *before, block *b)
 /* What the substep minimises: |x - aim|^2 / (2 w h^2) and all constraints. No term of it is negative. */
 INSIDE hg_lanes energy_of(const hg_xpbd *s, const hg_xpbd_tile *t, hg_lanes over_h2)
 {
-    hg_lanes sum = t->moved[0] - t->moved[0];
+    hg_lanes sum = t->pace[0] - t->pace[0];
     for (int64_t i = s->pinned - 1; i < s->E; i++) {
         const int64_t v = i + 1;
         const quat p = i ? qload(t->q + 4 * i - 4) : qload(t->root), q = qload(t->q + 4 * i);
@@ -370,7 +368,7 @@ INSIDE void solve(const hg_xpbd *s, const hg_xpbd_tile *t, hg_lanes h2)
     enum { HALVINGS = 12 };
     const int64_t E = s->E, first = s->pinned - 1, size = (int64_t)(sizeof(block) / sizeof(hg_lanes));
     block *blocks = (block *)(void *)(s->scratch + hg_worker() * E * size);
-    hg_lanes longest = t->moved[0] - t->moved[0];
+    hg_lanes longest = t->pace[0] - t->pace[0];
     if (E <= first) return;
     for (int64_t i = first; i < E; i++) {
         block *b = blocks + i, *before = i > first ? b - 1 : NULL;
@@ -490,6 +488,14 @@ static void scatter(const hg_xpbd *s, const hg_xpbd_tile *t, int64_t tile)
     }
 }
 
+static bool at_rest(const hg_xpbd *s, const hg_xpbd_tile *t)
+{
+    const double limit = s->options.movement * s->options.movement;
+    bool all = true;
+    for (int l = 0; l < HG_XPBD_LANES; l++) all = all && t->moved[0][l] < limit;
+    return all;
+}
+
 static void run_tile(const hg_xpbd_run *run, int64_t tile)
 {
     const hg_xpbd *s = run->solver;
@@ -497,11 +503,12 @@ static void run_tile(const hg_xpbd_run *run, int64_t tile)
     const bool paced = !run->dynamic && !s->options.sweeps;
     hg_xpbd_tile t;
     hg_xpbd_tile_at(s, tile, &t);
+    if (paced && !s->neighbours && at_rest(s, &t)) return;
     gather(s, &t, tile);
     if (paced) find_pace(s, &t);
     if (run->first == 0) memcpy(t.start, t.x, (size_t)(3 * s->V) * sizeof *t.x);
     for (int sub = run->first; sub < run->last; sub++) {
-        hg_lanes h2 = t.moved[0] - t.moved[0] + h * h * slowed;
+        hg_lanes h2 = t.pace[0] - t.pace[0] + h * h * slowed;
         if (paced) h2 *= t.pace[0];
         predict(s, &t, (sub + 1) / (double)run->substeps, h, h * slowed, h2, run->dynamic);
         if (s->options.sweeps) {

@@ -314,6 +314,58 @@ static void test_pendulum(void **state)
     assert_true(fabs(pendulum(true, 80) - exact) < 0.05); /* the inertia of the edge itself is 4 % there */
 }
 
+/* One substep a frame, solved to its end, is the time-stepped minimum of the inertial energy, that L-BFGS finds. */
+static void test_time_steps(void **state)
+{
+    (void)state;
+    double rest[V * 3], numbers[7], before[V * 3], older[V * 3];
+    hg_term terms[5];
+    scene s;
+    straight(rest, 1, 0);
+    chain_terms(terms, numbers, 20, 1e-8, "bend_twist", NULL);
+    numbers[5] = 3;
+    terms[3] = (hg_term){ hg_energy_find("drag"), 1, numbers + 5, NULL };
+    terms[4] = (hg_term){ hg_energy_find("inertia"), 1, NULL, NULL };
+    make(&s, 1, rest, 1);
+    hg_physics *physics;
+    hg_minimiser *m;
+    assert_int_equal(hg_physics_create(&physics, s.ctx, HG_F64, terms, 5, &s.data), HG_OK);
+    assert_int_equal(hg_minimiser_create(&m, s.ctx, physics, 1, 1, V, &(hg_minimise_options){ .pinned = 2 }), HG_OK);
+    hg_tensor *x = hg_tensor_create(s.ctx, HG_F64, 4, s.x->shape),
+              *guess = hg_tensor_create(s.ctx, HG_F64, 4, s.x->shape),
+              *last = hg_tensor_create(s.ctx, HG_F64, 4, s.x->shape);
+    assert_int_equal(hg_tensor_write(x, rest), HG_OK);
+    memcpy(before, rest, sizeof before), memcpy(older, rest, sizeof older);
+    hg_xpbd *xpbd = start(&s, terms, 5, &(hg_xpbd_options){ .pinned = 2, .substeps = 1, .iterations = 30 });
+    const hg_frame still = { .dt = 1.0 / 60 };
+    assert_int_equal(hg_xpbd_place(xpbd, &still, s.x), HG_OK);
+    double sunk = 0;
+    for (int t = 0; t < 12; t++) {
+        double predicted[V * 3];
+        for (int k = 0; k < V * 3; k++) predicted[k] = 2 * before[k] - older[k];
+        assert_int_equal(hg_tensor_write(guess, predicted), HG_OK);
+        assert_int_equal(hg_tensor_write(last, before), HG_OK);
+        const hg_frame frame = { .predicted = guess, .previous = last, .dt = 1.0 / 60 };
+        hg_solution found;
+        if (hg_minimise(m, &frame, x, &found) != HG_OK) fail_msg("%s", hg_message());
+        assert_int_equal(found.converged, 1);
+        memcpy(older, before, sizeof older);
+        assert_int_equal(hg_tensor_read(x, before), HG_OK);
+        hg_step_reset(s.ctx);
+        if (hg_xpbd_step(xpbd, &still, s.x, NULL) != HG_OK) fail_msg("%s", hg_message());
+        for (int k = 0; k < V * 3; k++) assert_true(fabs(before[k] - ((double *)s.x->data)[k]) < 2e-4);
+        sunk = fmin(sunk, before[3 * V - 2]);
+    }
+    assert_true(sunk < -0.02); /* it has swung down */
+    hg_tensor_destroy(x);
+    hg_tensor_destroy(guess);
+    hg_tensor_destroy(last);
+    hg_xpbd_destroy(xpbd);
+    hg_minimiser_destroy(m);
+    hg_physics_destroy(physics);
+    drop(&s);
+}
+
 /* Roots that turn: hair goes along and comes to rest in the turned place; air slows it. */
 static void test_carried_along(void **state)
 {
@@ -597,6 +649,7 @@ int main(void)
         cmocka_unit_test(test_returns),
         cmocka_unit_test(test_style),
         cmocka_unit_test(test_pendulum),
+        cmocka_unit_test(test_time_steps),
         cmocka_unit_test(test_carried_along),
         cmocka_unit_test(test_contact),
         cmocka_unit_test(test_strand_distance),
