@@ -22,6 +22,7 @@ typedef struct {
     bool known;
     float *posed, *rotation, *position, *collider; /* [T,S,V,3], [T,S,4], [T,S,3], [T,N,3] */
     float *x[HG_AGAINST_SIDES];                    /* [T,S,V,3]; of the posed groom: posed */
+    float *q[HG_AGAINST_SIDES];                    /* [T,S,V-1,4] orientations; NULL: the posed groom's */
 } scene;
 
 typedef struct {
@@ -48,7 +49,7 @@ static void scene_free(scene *s, int sides)
 {
     float *const there[] = { s->posed, s->rotation, s->position, s->collider };
     for (size_t i = 0; i < sizeof there / sizeof *there; i++) hg_free(there[i]);
-    for (int k = 0; k + 1 < sides; k++) hg_free(s->x[k]);
+    for (int k = 0; k + 1 < sides; k++) hg_free(s->x[k]), hg_free(s->q[k]);
 }
 
 static void comparison_free(comparison *c)
@@ -127,6 +128,20 @@ static hg_status take_strands(comparison *c, const hg_drape_frame *frame)
     return scene_create(&c->rest, c, c->options.poses);
 }
 
+static const float *edges_of(const comparison *c, const scene *s, int side, int64_t t)
+{
+    return s->q[side] ? s->q[side] + t * c->S * (c->V - 1) * 4 : NULL;
+}
+
+static hg_status keep_edges(const comparison *c, scene *s, int side, int64_t t, const float *q)
+{
+    const int64_t row = c->S * (c->V - 1) * 4;
+    if (!s->q[side]) s->q[side] = hg_alloc((size_t)(s->frames * row) + 1, sizeof(float));
+    if (!s->q[side]) return HG_MEMORY;
+    memcpy(s->q[side] + t * row, q, (size_t)row * sizeof(float));
+    return HG_OK;
+}
+
 static hg_status write_down(void *self, const hg_drape_frame *frame)
 {
     writing *w = self;
@@ -139,6 +154,7 @@ static hg_status write_down(void *self, const hg_drape_frame *frame)
     const int64_t t = frame->frame - w->first + w->at, row = c->S * c->V * 3;
     if (frame->frame >= w->first && frame->frame - w->first < w->most) {
         memcpy(s->x[w->side] + t * row, frame->x, (size_t)row * sizeof(float));
+        if (frame->q) HG_TRY(keep_edges(c, s, w->side, t, frame->q));
         if (!s->known) {
             const int32_t *vertex = hg_poser_vertex(c->task->poser); /* those that the collider keeps */
             memcpy(s->posed + t * row, frame->posed, (size_t)row * sizeof(float));
@@ -325,10 +341,11 @@ static hg_status frame_energies(comparison *c, const scene *s, bool moving, int6
 {
     const int64_t row = c->S * c->V * 3;
     const float *x = s->x[side] + t * row, *y = s->x[c->out->reference] + t * row;
+    const float *q = edges_of(c, s, side, t);
     double own[HG_HAIR_TERMS] = { 0 }, there[HG_HAIR_TERMS] = { 0 };
-    HG_TRY(hg_hair_judge_energies(&c->judge, x, moving ? x - row : NULL, moving ? x - 2 * row : NULL, own, c->own));
+    HG_TRY(hg_hair_judge_energies(&c->judge, x, q, moving ? x - row : NULL, moving ? x - 2 * row : NULL, own, c->own));
     if (moving)
-        HG_TRY(hg_hair_judge_energies(&c->judge, x, y - row, y - 2 * row, there, c->own));
+        HG_TRY(hg_hair_judge_energies(&c->judge, x, q, y - row, y - 2 * row, there, c->own));
     else
         memcpy(there, own, sizeof own);
     for (int free = 0; free < 2; free++)
@@ -353,14 +370,14 @@ static hg_status judge_scene(comparison *c, const scene *s, bool moving)
     for (int k = 0; k < sides; k++) part[k] = moving ? &c->out->side[k].motion : &c->out->side[k].rest;
     for (int64_t t = 0; t < s->frames; t++) {
         HG_TRY(hg_hair_judge_frame(&c->judge, s->rotation + t * c->S * 4, s->position + t * c->S * 3,
-                                   s->collider + t * c->N * 3));
+                                   s->posed + t * row, s->collider + t * c->N * 3));
         const bool whole = !moving || t >= 2; /* its past is known */
         const float *y = s->x[reference] + t * row;
         double posed[HG_HAIR_TERMS] = { 0 }, least[HG_HAIR_TERMS] = { 0 };
         if (whole) {
-            HG_TRY(hg_hair_judge_energies(&c->judge, s->posed + t * row, NULL, NULL, posed, NULL));
-            HG_TRY(hg_hair_judge_energies(&c->judge, y, moving ? y - row : NULL, moving ? y - 2 * row : NULL, least,
-                                          c->least));
+            HG_TRY(hg_hair_judge_energies(&c->judge, s->posed + t * row, NULL, NULL, NULL, posed, NULL));
+            HG_TRY(hg_hair_judge_energies(&c->judge, y, edges_of(c, s, reference, t), moving ? y - row : NULL,
+                                          moving ? y - 2 * row : NULL, least, c->least));
             frames++;
         }
         for (int k = 0; k < sides; k++) {

@@ -39,6 +39,7 @@ typedef struct {
     int32_t *row_groom; /* [together] */
     float *inputs;      /* [together,frame_inputs] */
     float *raw, *body, *rotation, *position, *x, *posed;
+    float *q; /* [n,V-1,4]; NULL: the network predicts no orientations, or no energy asks for them */
     const char *what;
 } drape;
 
@@ -68,6 +69,7 @@ static void drape_free(drape *d)
     hg_free(d->position);
     hg_free(d->x);
     hg_free(d->posed);
+    hg_free(d->q);
 }
 
 /* ---- what there is of each -----------------------------------------------------------------------------------*/
@@ -205,8 +207,10 @@ static hg_status prepare(drape *d)
     d->position = hg_alloc((size_t)d->most_strands * 3, sizeof *d->position);
     d->x = hg_alloc((size_t)(d->most_strands * V) * 3, sizeof *d->x);
     if (d->options.posed) d->posed = hg_alloc((size_t)(d->most_strands * V) * 3, sizeof *d->posed);
+    const bool edges = task->orientations && task->asks.q;
+    if (edges) d->q = hg_alloc((size_t)(d->most_strands * (V - 1)) * 4, sizeof *d->q);
     if (!d->row_groom || !d->inputs || !d->raw || !d->body || !d->rotation || !d->position || !d->x ||
-        (d->options.posed && !d->posed))
+        (d->options.posed && !d->posed) || (edges && !d->q))
         return HG_MEMORY;
     return choose_together(d);
 }
@@ -232,8 +236,8 @@ static hg_status drape_pair(drape *d, hg_tensor *images, int64_t row, int64_t i,
     const int64_t n = g->strands.n, V = groom->vertices;
     HG_TRY(hg_pose(d->ctx, d->poser, pair->shape, d->clips[d->of[i].clip].motion, pair->frame, d->body, NULL, NULL));
     HG_TRY(hg_pose_roots(d->ctx, d->poser, groom, g->strands.strand, n, d->body, d->rotation, d->position));
-    HG_TRY(
-        hg_hair_predict_row(d->task, d->ctx, &g->part, images, row, g->strands.rest, d->rotation, d->position, d->x));
+    HG_TRY(hg_hair_predict_row(d->task, d->ctx, &g->part, images, row, g->strands.rest, d->rotation, d->position, d->x,
+                               d->q));
     if (d->posed) hg_pose_strands(d->ctx, n, V, g->rest, d->rotation, d->position, d->posed);
     return sink(self, i,
                 &(hg_drape_frame){ .frame = pair->frame,
@@ -244,7 +248,8 @@ static hg_status drape_pair(drape *d, hg_tensor *images, int64_t row, int64_t i,
                                    .posed = d->posed,
                                    .body_vertices = d->options.bodies ? d->body : NULL,
                                    .root_rotation = d->rotation,
-                                   .root_position = d->position });
+                                   .root_position = d->position,
+                                   .q = d->q });
 }
 
 /* The last turn may have fewer: its last pair fills it up, so that every turn is of the same size. */

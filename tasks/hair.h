@@ -322,9 +322,10 @@ hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg
 hg_tensor *hg_hair_images(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const int32_t *groom,
                           hg_tensor *inputs);
 /* Row `row` of it, without gradient: part, rest [n,V,3], rotation [n,4] and position [n,3] of the strands of its groom
- * -> x [n,V,3]. */
+ * -> x [n,V,3], and q [n,V-1,4], the orientations of a network that predicts them and whose part has edges; NULL: not wanted. */
 hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
-                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x);
+                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x,
+                              float *q);
 /* Both, of one frame: inputs [frame_inputs]. */
 hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);

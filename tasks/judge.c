@@ -1,6 +1,8 @@
 /* judge: energies of chosen strands, whoever placed them: a network, a solver, the posed groom. */
 #include "tasks/judge.h"
 
+#include "geometry/vector.h"
+
 #include <math.h>
 #include <string.h>
 
@@ -67,7 +69,7 @@ hg_status hg_hair_is_dynamic(hg_hair_task *task, bool *dynamic)
 void hg_hair_judge_free(hg_hair_judge *j)
 {
     hg_tensor *const tensors[] = {
-        j->x, j->before, j->predicted, j->root_rotation, j->root_position, j->body_vertices
+        j->x, j->before, j->predicted, j->root_rotation, j->root_position, j->body_vertices, j->posed, j->q
     };
     for (size_t i = 0; i < sizeof tensors / sizeof *tensors; i++) hg_tensor_destroy(tensors[i]);
     for (int k = 0; k < 2; k++) hg_physics_destroy(j->physics[k]);
@@ -80,6 +82,22 @@ void hg_hair_judge_free(hg_hair_judge *j)
     hg_free(j->contact_normal);
     hg_free(j->triangle);
     hg_free(j->terms);
+    hg_free(j->edges);
+}
+
+static hg_status make_inputs(hg_hair_judge *j)
+{
+    const int64_t S = j->S, V = j->V;
+    if (j->task->asks.ghost && !(j->posed = hg_tensor_create(j->ctx, HG_F64, 4, (int64_t[]){ 1, S, V, 3 })))
+        return HG_MEMORY;
+    if (!j->task->asks.q) return HG_OK;
+    j->q = hg_tensor_create(j->ctx, HG_F64, 4, (int64_t[]){ 1, S, V - 1, 4 });
+    j->edges = hg_alloc((size_t)(S * (V - 1) * 4) + 1, sizeof *j->edges);
+    if (!j->q || !j->edges) return HG_MEMORY;
+    for (int64_t i = 0; i < S; i++)
+        hg_hair_edge_frames(j->task->groom->points + (int64_t)j->subset.strand[i] * V * 3, V,
+                            j->edges + i * (V - 1) * 4);
+    return HG_OK;
 }
 
 static hg_status make(hg_hair_judge *j, const int32_t *strand)
@@ -115,7 +133,8 @@ static hg_status make(hg_hair_judge *j, const int32_t *strand)
     j->root_rotation = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, S, 4 });
     j->root_position = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, S, 3 });
     j->body_vertices = hg_tensor_create(j->ctx, HG_F64, 3, (int64_t[]){ 1, N, 3 });
-    return j->root_rotation && j->root_position && j->body_vertices ? HG_OK : HG_MEMORY;
+    if (!j->root_rotation || !j->root_position || !j->body_vertices) return HG_MEMORY;
+    return make_inputs(j);
 }
 
 hg_status hg_hair_judge_create(hg_hair_judge *judge, hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n)
@@ -132,17 +151,32 @@ static void widen(hg_tensor *to, const float *from)
 }
 
 hg_status hg_hair_judge_frame(hg_hair_judge *j, const float *root_rotation, const float *root_position,
-                              const float *collider)
+                              const float *posed, const float *collider)
 {
+    if (j->posed) widen(j->posed, posed);
     widen(j->root_rotation, root_rotation);
     widen(j->root_position, root_position);
     widen(j->body_vertices, collider);
     return hg_body_refit_update(j->ctx, j->refit, collider);
 }
 
-hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *before, const float *older,
-                                 double energy[HG_HAIR_TERMS], double *per_strand)
+/* Rest frames, turned with the roots. */
+static void pose_edges(hg_hair_judge *j)
 {
+    double *q = j->q->data;
+    const double *root = j->root_rotation->data;
+    for (int64_t i = 0; i < j->S * (j->V - 1); i++) {
+        const float *rest = j->edges + 4 * i;
+        const hg_quatd edge = hg_quatd_make((double)rest[0], (double)rest[1], (double)rest[2], (double)rest[3]);
+        hg_quatd_store(q + 4 * i, hg_quatd_mul(hg_quatd_load(root + 4 * (i / (j->V - 1))), edge));
+    }
+    hg_tensor_touch(j->q);
+}
+
+hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *q, const float *before,
+                                 const float *older, double energy[HG_HAIR_TERMS], double *per_strand)
+{
+    hg_frame_input inputs[2];
     const int moving = before != NULL;
     double terms[HG_HAIR_TERMS];
     hg_frame frame = { .root_rotation = j->root_rotation,
@@ -151,6 +185,15 @@ hg_status hg_hair_judge_energies(hg_hair_judge *j, const float *x, const float *
                        .dt = 1 / j->task->rate };
     hg_step_reset(j->ctx);
     widen(j->x, x);
+    if (j->posed) inputs[frame.n_inputs++] = (hg_frame_input){ "ghost", j->posed };
+    if (j->q) {
+        if (q)
+            widen(j->q, q);
+        else
+            pose_edges(j);
+        inputs[frame.n_inputs++] = (hg_frame_input){ "q", j->q };
+    }
+    frame.inputs = inputs;
     if (moving) {
         double *predicted = j->predicted->data;
         widen(j->before, before);

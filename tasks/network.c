@@ -220,7 +220,8 @@ hg_tensor *hg_hair_images(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_p
 }
 
 hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
-                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x)
+                              int64_t row, hg_tensor *rest, const float *rotation, const float *position, float *x,
+                              float *q)
 {
     const hg_hair_network *network = task->network;
     const int64_t n = part->strands, V = rest->shape[1], most = network->together ? network->together : n;
@@ -234,11 +235,14 @@ hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_ha
                                         network->of_grooms ? part->rows : hg_tensor_rows(ctx, part->rows, first, count),
                                     .texel = hg_tensor_rows(ctx, part->texel, first, count) };
         hg_tensor *of = hg_tensor_rows(ctx, rest, first, count);
-        hg_tensor *d = displacements(task, ctx, network->outputs(task, ctx, &some, whole, row, 1, 0), of);
-        hg_tensor *placed =
-            place(task, ctx, d, of, hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4),
-                  hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
-        if (placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK)
+        hg_tensor *out = network->outputs(task, ctx, &some, whole, row, 1, 0);
+        hg_tensor *turned = hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 4 }, rotation + first * 4);
+        hg_tensor *placed = place(task, ctx, displacements(task, ctx, out, of), of, turned,
+                                  hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
+        hg_tensor *edges =
+            q ? edge_frames(task, ctx, out, turned, hg_tensor_rows(ctx, part->edges, first, count)) : NULL;
+        if ((placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK) ||
+            (edges && hg_tensor_read(edges, q + first * (V - 1) * 4) != HG_OK))
             hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
         hg_step_rewind(ctx, mark);
     }
@@ -253,7 +257,7 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
     hg_no_grad_begin(ctx);
     hg_tensor *whole = hg_hair_images(
         task, ctx, part, NULL, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 1, task->layout.frame_inputs }, inputs));
-    const hg_status status = hg_hair_predict_row(task, ctx, part, whole, 0, rest, rotation, position, x);
+    const hg_status status = hg_hair_predict_row(task, ctx, part, whole, 0, rest, rotation, position, x, NULL);
     hg_no_grad_end(ctx);
     hg_step_rewind(ctx, mark);
     return status;

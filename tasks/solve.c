@@ -31,7 +31,8 @@ typedef struct {
     hg_tensor *x, *posed, *before, *older, *posed_before, *posed_older, *predicted,
         *posed_predicted; /* f64 [1,S,V,3] */
     hg_tensor *root_rotation, *root_position, *body_vertices;
-    float *edges;           /* [S,V-1,4] frames of the rest groom; NULL: no energy asks for orientations */
+    float *edges,
+        *out_q; /* [S,V-1,4] frames of the rest groom; what comes out; NULL: no energy asks for orientations */
     hg_tensor *q, *posed_q; /* f64 [1,S,V-1,4] */
 
     double energy[2][HG_HAIR_TERMS], iterations;
@@ -65,6 +66,7 @@ static void solving_free(solving *s)
     for (size_t i = 0; i < sizeof numbers / sizeof *numbers; i++) hg_free(numbers[i]);
     hg_free(s->turned);
     hg_free(s->edges);
+    hg_free(s->out_q);
 }
 
 /* ---- what is solved ------------------------------------------------------------------------------------------- */
@@ -135,7 +137,8 @@ static hg_status prepare_edges(solving *s)
     s->edges = hg_alloc((size_t)(s->S * (s->V - 1) * 4) + 1, sizeof *s->edges);
     s->q = hg_tensor_create(s->ctx, HG_F64, 4, (int64_t[]){ 1, s->S, s->V - 1, 4 });
     s->posed_q = hg_tensor_create(s->ctx, HG_F64, 4, (int64_t[]){ 1, s->S, s->V - 1, 4 });
-    if (!s->edges || !s->q || !s->posed_q) return HG_MEMORY;
+    s->out_q = hg_alloc((size_t)(s->S * (s->V - 1) * 4) + 1, sizeof *s->out_q);
+    if (!s->edges || !s->out_q || !s->q || !s->posed_q) return HG_MEMORY;
     for (int64_t i = 0; i < s->S; i++) hg_hair_edge_frames(s->rest + i * s->V * 3, s->V, s->edges + i * (s->V - 1) * 4);
     return HG_OK;
 }
@@ -345,6 +348,7 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
     if (s->solution->interrupted) return HG_OK;
     const double *x = s->x->data;
     for (int64_t k = 0; k < s->S * s->V * 3; k++) s->out[k] = (float)x[k];
+    for (int64_t k = 0; s->q && k < s->S * (s->V - 1) * 4; k++) s->out_q[k] = (float)((const double *)s->q->data)[k];
     if (!s->options->dynamic || moving || s->options->frames == 1) HG_TRY(measure(s, moving, &frame, &posed));
     if (s->options->dynamic) {
         swap(&s->older, &s->before);
@@ -368,7 +372,8 @@ static hg_status one_frame(solving *s, int64_t i, hg_drape_sink sink, void *self
                                                 .posed = s->posed_x,
                                                 .body_vertices = s->body,
                                                 .root_rotation = s->rotation,
-                                                .root_position = s->position })
+                                                .root_position = s->position,
+                                                .q = s->out_q })
                 : HG_OK;
 }
 

@@ -83,7 +83,7 @@ hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *pa
 /* ---- drape -------------------------------------------------------------------------------------------------- */
 
 /* A whole motion, every strand of the groom (or every `stride`-th). Calls back once per frame, in order. */
-typedef struct { int64_t frame, strands, vertices; const int32_t *strand; const float *x /* [S,V,3] */, *posed; const float *body_vertices /* [N,3] */; const float *root_rotation, *root_position; } hg_drape_frame;
+typedef struct { int64_t frame, strands, vertices; const int32_t *strand; const float *x /* [S,V,3] */, *posed; const float *body_vertices /* [N,3] */; const float *root_rotation, *root_position; const float *q /* [S,V-1,4] orientations of the edges, where energies ask for them; NULL: none */; } hg_drape_frame;
 typedef hg_status (*hg_drape_sink)(void *self, const hg_drape_frame *frame);
 hg_status hg_hair_drape(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, const double *shape, int64_t first, int64_t frames, int64_t stride,
                         hg_drape_sink sink, void *self, const hg_progress *progress);
