@@ -31,13 +31,20 @@ typedef struct {
 /* The same with a formula of several inputs, each [rows,columns]; row axes of one name have the same length. */
 hg_status hg_onnx_export_several(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor **inputs), void *self, const hg_onnx_options *options);
 hg_status hg_onnx_export(hg_ctx *ctx, const char *path, hg_tensor *(*forward)(void *self, hg_ctx *ctx, hg_tensor *input), void *self, const hg_onnx_options *options);
-/* The same network in two files, as it is fastest: PATH.strand.onnx, once per groom: raw strand features [strands,..] ->
- * part [strands,width]; and PATH.frame.onnx, once per frame: part and raw frame features [frames,..] -> displacement
- * [frames,strands,(V-1)*3]; with `model.output: directions` also rest [strands,(V-1)*3]. PATH's extension is left out. */
-hg_status hg_export_hair_onnx_factored(hg_hair_task *task, hg_ctx *ctx, const char *path, char **strand_path, char **frame_path); /* hg_free both */
-hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path);  /* with units, input order, normalisation, groom hash */
-/* /model/<layer>/{weight,bias}, the feature table, and /sample/{features,displacement}: rows of real input with the
- * network's answers, to test a runtime of one's own with. */
+/* A hair network, with units, input order, normalisation and the groom's hash. The first of its forms, or one of them by name:
+ *   concatenated   of strands: features [strands,..] -> displacement [strands,(V-1)*3]
+ *   factored       the same in two files, as it is fastest: PATH.strand.onnx, once per groom: strand_features -> part; and PATH.frame.onnx,
+ *                  once per frame: part, frame_features [frames,..] -> displacement [frames,strands,..]; with `model.output: directions` also
+ *                  rest [strands,(V-1)*3]. PATH's extension is left out.
+ *   image          of grooms: features [frames,..] -> displacement [frames,(V-1)*3,T,T], of any groom; not with `directions`
+ *   strands        of grooms: features [frames,..] -> displacement [frames,strands,(V-1)*3] of the groom that is chosen
+ * Behind displacements stand turns, where there are any (hg_hair_turns). */
+typedef struct { char *path; const char *what; } hg_exported;
+hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path);
+hg_status hg_export_hair_onnx_as(hg_hair_task *task, hg_ctx *ctx, const char *form, const char *path, hg_exported files[HG_HAIR_FORMULAS], int *n_files);
+void      hg_exported_free(hg_exported *files, int n);
+/* /model/<layer>/{weight,bias}, the feature table, /texture/{texel,strand} of a network that makes images, and
+ * /sample/{features,displacement}: rows of real input of the first form with the network's answers, to test a runtime of one's own with. */
 hg_status hg_export_hair_h5(hg_hair_task *task, hg_ctx *ctx, const char *path);
 
 /* ---- VTKHDF: PolyData with steps ---------------------------------------------------------------------------- */

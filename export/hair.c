@@ -1,12 +1,13 @@
 /* Export of a hair network: as ONNX, raw features in and displacements out, with all that a runtime needs to feed it in
- * the metadata; and as HDF5, weights by layer beside the same feature table. */
+ * the metadata; and as HDF5, weights by layer beside the same feature table. Which formulas there are is the network's affair
+ * (hg_hair_formulas). */
 #include "export/export.h"
 
 #include <stdio.h>
 #include <string.h>
 
-#define MOST_METADATA 20
-#define SAMPLE_ROWS   16
+#define MOST_METADATA 24
+enum { SAMPLE_STRANDS = 16, SAMPLE_FRAMES = 4 };
 
 /* What stands beside the weights, as text. */
 typedef struct {
@@ -48,19 +49,45 @@ static char *features_json(const hg_hair_task *task)
     return text;
 }
 
-static hg_status describe_hair(const hg_hair_task *task, description *d)
+/* [3,1,4] */
+static char *numbers_json(int64_t n, const int32_t *numbers)
+{
+    hg_text json = { 0 };
+    for (int64_t i = 0; i < n; i++) hg_text_add(&json, "%s%d", i ? "," : "[", (int)numbers[i]);
+    hg_text_add(&json, n ? "]" : "[]");
+    char *text = json.failed ? NULL : hg_strdup(json.data);
+    hg_text_free(&json);
+    return text;
+}
+
+/* Where the strands are in the images, of a network that makes images. */
+static void describe_texture(const hg_hair_task *task, description *d)
+{
+    const int32_t *texel, *strand;
+    const int side = hg_hair_texture(task, &texel, &strand);
+    if (!side) return;
+    const int64_t strands = hg_hair_groom(task)->strands;
+    describe(d, "texture", hg_format("%d", side));
+    describe(d, "texel", numbers_json(strands, texel));
+    describe(d, "strand", numbers_json(strands, strand));
+    describe(d, "strands_left_out", hg_format("%lld", (long long)hg_hair_left_out(task, -1)));
+    describe(
+        d, "texels_are",
+        hg_strdup("by strand of the groom: 'texel' is row * texture + column of its texel, row along root v and column "
+                  "along root u; 'strand' is its number in the groom before strands that share a texel with another "
+                  "were left out; other texels hold no strand"));
+}
+
+static hg_status describe_hair(const hg_hair_task *task, const hg_hair_formula *formula, description *d)
 {
     const hg_groom *groom = hg_hair_groom(task);
     const hg_body *body = hg_hair_body(task);
     *d = (description){ 0 };
     describe(d, "units",
              hg_strdup("metres, seconds, radians; +Y up, the face looks along +Z, +X is the character's left"));
-    describe(d, "input",
-             hg_strdup("raw features, one row per strand, columns as listed in 'features'; normalisation "
-                       "((x - mean) / deviation) is part of the graph"));
-    describe(d, "output",
-             hg_strdup("displacements [m] of vertices 1..V-1 in head rest space, xyz by vertex; "
-                       "x = p + R (rest + d - rest_root), p and R the strand's root frame"));
+    describe(d, "form", hg_strdup(formula->form));
+    describe(d, "input", hg_strdup(formula->takes));
+    describe(d, "output", hg_strdup(formula->gives));
     if (hg_hair_turns(task)) {
         describe(d, "outputs",
                  hg_format("[{\"name\": \"displacement\", \"first\": 0, \"count\": %lld}, "
@@ -76,6 +103,7 @@ static hg_status describe_hair(const hg_hair_task *task, description *d)
     describe(d, "features", features_json(task));
     describe(d, "vertices", hg_format("%lld", (long long)groom->vertices));
     describe(d, "strands", hg_format("%lld", (long long)groom->strands));
+    describe_texture(task, d);
     describe(d, "groom", hg_strdup(groom->name ? groom->name : ""));
     describe(d, "groom_hash", hg_format("%016llx", (unsigned long long)hg_groom_hash(groom)));
     describe(d, "body_hash", hg_format("%016llx", (unsigned long long)hg_body_hash(body)));
@@ -86,127 +114,108 @@ static hg_status describe_hair(const hg_hair_task *task, description *d)
     return hg_fail(HG_MEMORY, "export: out of memory");
 }
 
-static int columns_of(const hg_hair_task *task)
-{
-    const hg_feature *features;
-    int n = hg_hair_features(task, &features), columns = 0;
-    for (int i = 0; i < n; i++)
-        if (features[i].first + features[i].count > columns) columns = features[i].first + features[i].count;
-    return columns;
-}
-
 /* ---- ONNX ---------------------------------------------------------------------------------------------------- */
 
-static hg_tensor *forward(void *self, hg_ctx *ctx, hg_tensor *raw)
+/* before: columns of the output of the formula before it, and then of this one. */
+static hg_status export_one(hg_hair_task *task, hg_ctx *ctx, const hg_hair_formula *formula, const char *path,
+                            int64_t *before)
 {
-    return hg_hair_forward_concatenated(self, ctx, raw);
+    description about;
+    HG_TRY(describe_hair(task, formula, &about));
+    hg_onnx_metadata metadata[MOST_METADATA];
+    for (int i = 0; i < about.n; i++) metadata[i] = (hg_onnx_metadata){ about.key[i], about.value[i] };
+    hg_onnx_input inputs[HG_ONNX_INPUTS];
+    for (int i = 0; i < formula->n_inputs; i++) {
+        const hg_hair_formula_input *in = &formula->input[i];
+        inputs[i] = (hg_onnx_input){ in->name, in->columns < 0 ? *before : in->columns, in->rows };
+    }
+    const hg_onnx_options options = { .output = formula->output,
+                                      .graph = formula->part ? formula->part : hg_hair_model(task)->kind,
+                                      .doc = formula->what,
+                                      .n_inputs = formula->n_inputs,
+                                      .inputs = inputs,
+                                      .n_output_rows = formula->n_rows,
+                                      .output_rows = formula->rows,
+                                      .n_metadata = about.n,
+                                      .metadata = metadata };
+    hg_step_reset(ctx);
+    hg_status status = hg_onnx_export_several(ctx, path, formula->forward, task, &options);
+    description_free(&about);
+    hg_step_reset(ctx);
+    return status;
+}
+
+/* How many columns the output of a part has, which the next one takes. */
+static hg_status columns_out(hg_hair_task *task, hg_ctx *ctx, const hg_hair_formula *formula, int64_t *columns)
+{
+    hg_tensor *in[HG_ONNX_INPUTS] = { NULL };
+    hg_no_grad_begin(ctx);
+    for (int i = 0; i < formula->n_inputs; i++)
+        in[i] = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 1, formula->input[i].columns });
+    const hg_tensor *out = hg_ctx_status(ctx) == HG_OK ? formula->forward(task, ctx, in) : NULL;
+    hg_no_grad_end(ctx);
+    if (out) *columns = out->shape[out->rank - 1];
+    const hg_status status = hg_ctx_status(ctx);
+    hg_step_reset(ctx);
+    return status;
+}
+
+static hg_status no_form(hg_hair_task *task, int n, const hg_hair_formula *formulas, const char *form)
+{
+    hg_text known = { 0 };
+    for (int i = 0; i < n; i++)
+        if (i == 0 || strcmp(formulas[i].form, formulas[i - 1].form))
+            hg_text_add(&known, "%s%s", i ? ", " : "", formulas[i].form);
+    hg_fail(HG_INVALID, "export: this %s has no form \"%s\"; it has %s", hg_hair_model(task)->kind, form,
+            known.data ? known.data : "none");
+    hg_text_free(&known);
+    return HG_INVALID;
+}
+
+static char *path_of(const char *path, const char *part)
+{
+    const char *extension = hg_path_extension(path);
+    const size_t stem = strlen(path) - (extension[0] ? strlen(extension) + 1 : 0);
+    return part ? hg_format("%.*s.%s.onnx", (int)stem, path, part) : hg_strdup(path);
+}
+
+hg_status hg_export_hair_onnx_as(hg_hair_task *task, hg_ctx *ctx, const char *form, const char *path,
+                                 hg_exported files[HG_HAIR_FORMULAS], int *n_files)
+{
+    hg_hair_formula formulas[HG_HAIR_FORMULAS];
+    const int n = hg_hair_formulas(task, formulas);
+    *n_files = 0;
+    if (!form) form = formulas[0].form;
+    int64_t columns = 0;
+    hg_status status = HG_OK;
+    for (int i = 0; status == HG_OK && i < n; i++) {
+        if (strcmp(formulas[i].form, form)) continue;
+        hg_exported *file = &files[*n_files];
+        *file = (hg_exported){ path_of(path, formulas[i].part), formulas[i].what };
+        status = file->path ? export_one(task, ctx, &formulas[i], file->path, &columns) : HG_MEMORY;
+        ++*n_files;
+        const bool goes_on = i + 1 < n && !strcmp(formulas[i + 1].form, form);
+        if (status == HG_OK && goes_on) status = columns_out(task, ctx, &formulas[i], &columns);
+    }
+    if (status == HG_OK && *n_files == 0) status = no_form(task, n, formulas, form);
+    if (status == HG_OK) return HG_OK;
+    hg_exported_free(files, *n_files);
+    *n_files = 0;
+    return status;
+}
+
+void hg_exported_free(hg_exported *files, int n)
+{
+    for (int i = 0; i < n; i++) hg_free(files[i].path);
 }
 
 hg_status hg_export_hair_onnx(hg_hair_task *task, hg_ctx *ctx, const char *path)
 {
-    description about;
-    HG_TRY(describe_hair(task, &about));
-    hg_onnx_metadata metadata[MOST_METADATA];
-    for (int i = 0; i < about.n; i++) metadata[i] = (hg_onnx_metadata){ about.key[i], about.value[i] };
-    const hg_onnx_options options = {
-        .input = "features",
-        .output = "displacement",
-        .graph = hg_hair_model(task)->kind,
-        .doc =
-            "Displacements of hair strands from the rigidly posed groom, trained without simulated data by hairgrad.",
-        .columns = columns_of(task),
-        .n_metadata = about.n,
-        .metadata = metadata,
-    };
-    hg_status status = hg_onnx_export(ctx, path, forward, task, &options);
-    description_free(&about);
-    return status;
-}
-
-/* ---- ONNX in two parts --------------------------------------------------------------------------------------- */
-
-static hg_tensor *strand_part(void *self, hg_ctx *ctx, hg_tensor **in)
-{
-    return hg_hair_forward_strands(self, ctx, in[0]);
-}
-
-static hg_tensor *frame_part(void *self, hg_ctx *ctx, hg_tensor **in)
-{
-    return hg_hair_forward_frames(self, ctx, in[0], in[1], in[2]);
-}
-
-/* Columns of the rest strand, which only turned edges need. */
-static int rest_columns(const hg_hair_task *task)
-{
-    const hg_feature *features;
-    const int n = hg_hair_features(task, &features);
-    for (int i = 0; i < n; i++)
-        if (!strcmp(features[i].name, "rest")) return features[i].count;
-    return 0;
-}
-
-static hg_status export_parts(hg_hair_task *task, hg_ctx *ctx, const char *strand_path, const char *frame_path,
-                              const description *about)
-{
-    hg_onnx_metadata metadata[MOST_METADATA];
-    for (int i = 0; i < about->n; i++) metadata[i] = (hg_onnx_metadata){ about->key[i], about->value[i] };
-    const int rest = rest_columns(task), strand = hg_hair_strand_inputs(task) - rest;
-    const int frame = columns_of(task) - strand - rest;
-    const hg_onnx_input of_strands[] = { { "strand_features", strand, "strands" } };
-    const hg_onnx_options first = { .output = "part",
-                                    .graph = "strands",
-                                    .doc = "What the first layer makes of the strands, once per groom; goes into the "
-                                           "network of frames.",
-                                    .n_inputs = 1,
-                                    .inputs = of_strands,
-                                    .n_metadata = about->n,
-                                    .metadata = metadata };
-    hg_step_reset(ctx);
-    HG_TRY(hg_onnx_export_several(ctx, strand_path, strand_part, task, &first));
-    hg_step_reset(ctx);
-    hg_no_grad_begin(ctx);
-    const hg_tensor *part =
-        hg_hair_forward_strands(task, ctx, hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ 1, strand }));
-    hg_no_grad_end(ctx);
-    HG_TRY(hg_ctx_status(ctx));
-    const hg_onnx_input of_frames[] = { { "part", part->shape[1], "strands" },
-                                        { "frame_features", frame, "frames" },
-                                        { "rest", rest, "strands" } };
-    const hg_onnx_options second = { .output = "displacement",
-                                     .graph = "frames",
-                                     .doc =
-                                         "Displacements of hair strands from the rigidly posed groom, of one or more "
-                                         "frames; trained without simulated data by hairgrad.",
-                                     .n_inputs = rest ? 3 : 2,
-                                     .inputs = of_frames,
-                                     .n_output_rows = 2,
-                                     .output_rows = (const char *const[]){ "frames", "strands" },
-                                     .n_metadata = about->n,
-                                     .metadata = metadata };
-    hg_step_reset(ctx);
-    HG_TRY(hg_onnx_export_several(ctx, frame_path, frame_part, task, &second));
-    hg_step_reset(ctx);
+    hg_exported files[HG_HAIR_FORMULAS];
+    int n;
+    HG_TRY(hg_export_hair_onnx_as(task, ctx, NULL, path, files, &n));
+    hg_exported_free(files, n);
     return HG_OK;
-}
-
-hg_status hg_export_hair_onnx_factored(hg_hair_task *task, hg_ctx *ctx, const char *path, char **strand_path,
-                                       char **frame_path)
-{
-    const char *extension = hg_path_extension(path);
-    const size_t stem = strlen(path) - (extension[0] ? strlen(extension) + 1 : 0);
-    *strand_path = hg_format("%.*s.strand.onnx", (int)stem, path);
-    *frame_path = hg_format("%.*s.frame.onnx", (int)stem, path);
-    description about = { 0 };
-    hg_status status = *strand_path && *frame_path ? describe_hair(task, &about) : HG_MEMORY;
-    if (status == HG_OK) {
-        status = export_parts(task, ctx, *strand_path, *frame_path, &about);
-        description_free(&about);
-    }
-    if (status == HG_OK) return HG_OK;
-    hg_free(*strand_path);
-    hg_free(*frame_path);
-    *strand_path = *frame_path = NULL;
-    return status;
 }
 
 /* ---- HDF5 ---------------------------------------------------------------------------------------------------- */
@@ -258,26 +267,30 @@ static hg_status write_features(hg_h5 *file, const hg_hair_task *task)
     return status;
 }
 
-/* Real inputs of a few strands spread over the groom, in the middle of a clip, and what the network answers. */
-static hg_status write_sample(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx)
+/* Real inputs of a few rows, and what the network answers: of strands spread over the groom, in the middle of a clip; or of frames
+ * spread over it. */
+static hg_status write_sample(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx, const hg_hair_formula *formula)
 {
     bool held_out = hg_hair_clips(task, true) > 0;
     if (!held_out && hg_hair_clips(task, false) < 1) return HG_OK;
     const hg_motion *clip = hg_hair_clip(task, held_out, 0);
-    int64_t strands = hg_hair_groom(task)->strands, rows = strands < SAMPLE_ROWS ? strands : SAMPLE_ROWS;
-    int64_t columns = columns_of(task), own = hg_hair_strand_inputs(task);
+    const int64_t strands = hg_hair_groom(task)->strands, columns = formula->input[0].columns;
+    const int64_t own = hg_hair_strand_inputs(task);
+    const bool of_strands = !strcmp(formula->input[0].rows, "strands");
+    int64_t rows = of_strands ? SAMPLE_STRANDS : SAMPLE_FRAMES;
+    if (of_strands && rows > strands) rows = strands;
     float *raw = hg_alloc((size_t)(rows * columns), sizeof *raw), *answer = NULL;
     hg_status status = raw ? HG_OK : HG_MEMORY;
     for (int64_t i = 0; status == HG_OK && i < rows; i++) {
-        int32_t strand = (int32_t)(i * strands / rows);
+        const int32_t strand = (int32_t)(i * strands / rows);
+        const int64_t frame = of_strands ? clip->frames / 2 : (i + 1) * clip->frames / (rows + 1);
         status = hg_hair_strand_features(task, ctx, &strand, 1, raw + i * columns);
-        if (status == HG_OK)
-            status = hg_hair_frame_features(task, ctx, clip, clip->frames / 2, NULL, raw + i * columns + own);
+        if (status == HG_OK) status = hg_hair_frame_features(task, ctx, clip, frame, NULL, raw + i * columns + own);
     }
     hg_no_grad_begin(ctx);
     hg_tensor *in = hg_tensor_make(ctx, HG_F32, 2, (int64_t[]){ rows, columns });
     if (status == HG_OK) status = in ? hg_tensor_write(in, raw) : hg_ctx_status(ctx);
-    hg_tensor *out = status == HG_OK ? hg_hair_forward_concatenated(task, ctx, in) : NULL;
+    hg_tensor *out = status == HG_OK ? formula->forward(task, ctx, &in) : NULL;
     if (status == HG_OK && !out) status = hg_ctx_status(ctx);
     if (status == HG_OK) {
         answer = hg_alloc(1, hg_tensor_bytes(out) + 1);
@@ -291,26 +304,48 @@ static hg_status write_sample(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx)
     return status;
 }
 
-static hg_status write_weights(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx, const description *about)
+static hg_status write_texture(hg_h5 *file, const hg_hair_task *task)
+{
+    const int32_t *texel, *strand;
+    const int64_t strands = hg_hair_groom(task)->strands;
+    if (!hg_hair_texture(task, &texel, &strand)) return HG_OK;
+    HG_TRY(hg_h5_write(file, "texture/texel", HG_I32, 1, &strands, texel));
+    return hg_h5_write(file, "texture/strand", HG_I32, 1, &strands, strand);
+}
+
+/* An attribute ends at 64 KiB: what can be longer has tables of its own. */
+static bool has_table(const char *key)
+{
+    static const char *const keys[] = { "features", "texel", "strand" };
+    for (size_t i = 0; i < sizeof keys / sizeof *keys; i++)
+        if (!strcmp(key, keys[i])) return true;
+    return false;
+}
+
+static hg_status write_weights(hg_h5 *file, hg_hair_task *task, hg_ctx *ctx, const hg_hair_formula *formula,
+                               const description *about)
 {
     const hg_model *model = hg_hair_model(task);
     HG_TRY(hg_h5_group(file, "model"));
     HG_TRY(hg_h5_set_text(file, "model", "kind", model->kind));
-    for (int i = 0; i < about->n; i++) /* the features have a table of their own; an attribute ends at 64 KiB */
-        if (strcmp(about->key[i], "features") != 0) HG_TRY(hg_h5_set_text(file, "", about->key[i], about->value[i]));
+    for (int i = 0; i < about->n; i++)
+        if (!has_table(about->key[i])) HG_TRY(hg_h5_set_text(file, "", about->key[i], about->value[i]));
     for (int i = 0; i < model->n_params; i++) HG_TRY(write_parameter(file, model->params[i], i));
-    HG_TRY(write_sample(file, task, ctx));
+    HG_TRY(write_sample(file, task, ctx, formula));
+    HG_TRY(write_texture(file, task));
     return write_features(file, task);
 }
 
 hg_status hg_export_hair_h5(hg_hair_task *task, hg_ctx *ctx, const char *path)
 {
     description about;
-    HG_TRY(describe_hair(task, &about));
+    hg_hair_formula formulas[HG_HAIR_FORMULAS];
+    hg_hair_formulas(task, formulas);
+    HG_TRY(describe_hair(task, &formulas[0], &about));
     hg_h5 *file = NULL;
     hg_status status = hg_h5_create(&file, path);
     if (status == HG_OK) {
-        status = write_weights(file, task, ctx, &about);
+        status = write_weights(file, task, ctx, &formulas[0], &about);
         if (status == HG_OK)
             status = hg_h5_commit(file);
         else

@@ -303,11 +303,12 @@ hg_status hg_hair_add_feature(hg_hair_task *task, char *name, double mean, doubl
     return HG_OK;
 }
 
-/* Not an input of the network, but of what its output is applied to: the last columns of a strand. */
+/* Not an input of the network, but of what its output is applied to: the last columns of a strand. A network of grooms has no rows
+ * of strands. */
 static hg_status rest_row(hg_hair_task *task)
 {
     task->rest_columns = 0;
-    if (strcmp(hg_config_text(task->config, "model.output"), "directions")) return HG_OK;
+    if (task->network->of_grooms || strcmp(hg_config_text(task->config, "model.output"), "directions")) return HG_OK;
     char *name = hg_strdup("rest");
     if (!name) return HG_MEMORY;
     task->rest_columns = (int)(task->groom->vertices - 1) * 3;

@@ -89,6 +89,7 @@ typedef struct {
     float *raw;                            /* [S,strand_inputs]; of a network of grooms [strand_inputs] */
     int32_t *texel;                        /* [S] of a network that makes images: where in them; else NULL */
     int64_t left_out;                      /* strands that the network cannot draw: not in groom */
+    int32_t *number;                       /* [S] with left_out: what the strands' numbers were before */
 } hg_hair_style;
 
 /* ---- strands of a step -------------------------------------------------------------------------------------- */
@@ -193,6 +194,7 @@ typedef struct {
     /* `rows` rows from `first` on, all of the one groom -> [rows,strands,outputs]. */
     hg_tensor *(*outputs)(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, hg_tensor *whole,
                           int64_t first, int64_t rows, int32_t groom);
+    int (*formulas)(const hg_hair_task *task, hg_hair_formula formulas[HG_HAIR_FORMULAS]);
 } hg_hair_network;
 
 extern const hg_hair_network hg_hair_network_strands; /* a row of numbers for each strand */
@@ -329,6 +331,17 @@ hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_ha
 /* Both, of one frame: inputs [frame_inputs]. */
 hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_part *part, const float *inputs,
                                 hg_tensor *rest, const float *rotation, const float *position, float *x);
+/* For formulas: columns first.. of (raw - mean) / deviation; outputs [..,S,outputs] as displacements, and turns, in rows; what these
+ * are, as a sentence. rest [S,V,3]: with directions. */
+hg_tensor *hg_hair_normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count);
+hg_tensor *hg_hair_as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest);
+const char *hg_hair_displacements_are(const hg_hair_task *task);
+/* Those of networks of strands: ONE concatenated raw input [N,inputs] -> rows [N,..]; and in two parts: what belongs to the strands,
+ * raw [S,strand_inputs] without the rest columns -> [S,width], and the rest: part, raw frame features [B,frame_inputs], and with
+ * directions the rest columns [S,(V-1)*3] (else NULL) -> [B,S,..]. */
+hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
+hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
+hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest);
 /* Frames q [V-1,4] of the edges of a rest strand [V,3], carried along it. */
 void hg_hair_edge_frames(const float *rest, int64_t vertices, float *q);
 /* The posed groom [B,S,V,3] of rest strands [S,V,3] or [B,S,V,3]; of the step. */

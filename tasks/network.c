@@ -263,20 +263,12 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
     return status;
 }
 
-/* ---- formulas, for export ----------------------------------------------------------------------------------- */
-
-static bool has_strand_formula(const hg_hair_task *task, hg_ctx *ctx)
-{
-    if (!task->network->of_grooms) return true;
-    hg_ctx_fail(ctx, HG_UNSUPPORTED, "a %s makes images of a groom: there is no formula of a single strand",
-                task->model->kind);
-    return false;
-}
+/* ---- for formulas ------------------------------------------------------------------------------------------- */
 
 int hg_hair_turns(const hg_hair_task *task) { return task->orientations ? (int)(task->groom->vertices - 1) * 4 : 0; }
 
 /* Outputs as numbers in rows: displacements, then turns where there are any. */
-static hg_tensor *as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
+hg_tensor *hg_hair_as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)
 {
     if (!outputs) return NULL;
     const int last = outputs->rank - 1, columns = (int)(task->groom->vertices - 1) * 3;
@@ -291,40 +283,31 @@ static hg_tensor *as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outp
     return hg_concat(ctx, last, 2, both);
 }
 
-hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
-{
-    if (!has_strand_formula(task, ctx)) return NULL;
-    const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
-    hg_tensor *in = raw, *rest = NULL;
-    if (task->directions) { /* [strand | rest | frame] */
-        in = hg_concat(ctx, 1, 2,
-                       (hg_tensor *[]){ hg_slice(ctx, raw, 1, 0, strand),
-                                        hg_slice(ctx, raw, 1, strand + task->rest_columns, frame) });
-        rest = hg_reshape(ctx, hg_slice(ctx, raw, 1, strand, task->rest_columns), 3, (int64_t[]){ -1, edges, 3 });
-        rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
-    }
-    in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
-    return as_rows(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
-}
-
-/* Columns first.. of (raw - mean) / deviation. */
-static hg_tensor *normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count)
+hg_tensor *hg_hair_normalised(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw, int64_t first, int64_t count)
 {
     return hg_mul(ctx, hg_sub(ctx, raw, hg_slice(ctx, task->mean_tensor, 0, first, count)),
                   hg_slice(ctx, task->inverse_deviation, 0, first, count));
 }
 
-hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+const char *hg_hair_displacements_are(const hg_hair_task *task)
 {
-    if (!has_strand_formula(task, ctx)) return NULL;
-    return task->model->strand_part(task->model->self, ctx, normalised(task, ctx, raw, 0, task->strand_inputs));
+    if (task->world)
+        return "displacements [m] of vertices 1..V-1 along the axes of the world, xyz by vertex; "
+               "x = p + R (rest - rest_root) + d, p and R the strand's root frame";
+    return "displacements [m] of vertices 1..V-1 in head rest space, xyz by vertex; "
+           "x = p + R (rest + d - rest_root), p and R the strand's root frame";
 }
 
-hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
+int hg_hair_formulas(const hg_hair_task *task, hg_hair_formula formulas[HG_HAIR_FORMULAS])
 {
-    if (!has_strand_formula(task, ctx)) return NULL;
-    const int64_t edges = task->groom->vertices - 1;
-    hg_tensor *in[3] = { NULL, normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs), part };
-    if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
-    return as_rows(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
+    memset(formulas, 0, HG_HAIR_FORMULAS * sizeof *formulas);
+    return task->network->formulas(task, formulas);
+}
+
+int hg_hair_texture(const hg_hair_task *task, const int32_t **texel, const int32_t **strand)
+{
+    const hg_hair_style *style = &task->styles[task->current];
+    *texel = style->texel;
+    *strand = style->number;
+    return style->texel ? (int)hg_config_integer(task->config, "model.texture") : 0;
 }

@@ -231,6 +231,98 @@ static hg_tensor *outputs(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_p
     return task->model->forward(task->model->self, ctx, in, 3);
 }
 
+/* ---- formulas ----------------------------------------------------------------------------------------------- */
+
+hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    const int64_t edges = task->groom->vertices - 1, strand = task->strand_inputs, frame = task->layout.frame_inputs;
+    hg_tensor *in = raw, *rest = NULL;
+    if (task->directions) { /* [strand | rest | frame] */
+        in = hg_concat(ctx, 1, 2,
+                       (hg_tensor *[]){ hg_slice(ctx, raw, 1, 0, strand),
+                                        hg_slice(ctx, raw, 1, strand + task->rest_columns, frame) });
+        rest = hg_reshape(ctx, hg_slice(ctx, raw, 1, strand, task->rest_columns), 3, (int64_t[]){ -1, edges, 3 });
+        rest = hg_pad(ctx, rest, 1, 1, 0); /* the root */
+    }
+    in = hg_mul(ctx, hg_sub(ctx, in, task->mean_tensor), task->inverse_deviation);
+    return hg_hair_as_rows(task, ctx, task->model->forward(task->model->self, ctx, &in, 1), rest);
+}
+
+hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    return task->model->strand_part(task->model->self, ctx, hg_hair_normalised(task, ctx, raw, 0, task->strand_inputs));
+}
+
+hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest)
+{
+    const int64_t edges = task->groom->vertices - 1;
+    hg_tensor *in[3] = { NULL, hg_hair_normalised(task, ctx, raw, task->strand_inputs, task->layout.frame_inputs),
+                         part };
+    if (task->directions) rest = hg_pad(ctx, hg_reshape(ctx, rest, 3, (int64_t[]){ -1, edges, 3 }), 1, 1, 0);
+    return hg_hair_as_rows(task, ctx, task->model->forward(task->model->self, ctx, in, 3), rest);
+}
+
+static hg_tensor *concatenated(void *task, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_hair_forward_concatenated(task, ctx, in[0]);
+}
+static hg_tensor *strand_formula(void *task, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_hair_forward_strands(task, ctx, in[0]);
+}
+static hg_tensor *frame_formula(void *task, hg_ctx *ctx, hg_tensor **in)
+{
+    return hg_hair_forward_frames(task, ctx, in[0], in[1], in[2]);
+}
+
+static int formulas(const hg_hair_task *task, hg_hair_formula formulas[HG_HAIR_FORMULAS])
+{
+    const int strand = task->strand_inputs, frame = task->layout.frame_inputs, rest = task->rest_columns;
+    static const char takes[] = "raw features, one row per strand, columns as listed in 'features'; normalisation "
+                                "((x - mean) / deviation) is part of the graph";
+    formulas[0] = (hg_hair_formula){
+        .form = "concatenated",
+        .what =
+            "Displacements of hair strands from the rigidly posed groom, trained without simulated data by hairgrad.",
+        .takes = takes,
+        .output = "displacement",
+        .gives = hg_hair_displacements_are(task),
+        .n_inputs = 1,
+        .input = { { "features", strand + rest + frame, "strands" } },
+        .n_rows = 1,
+        .rows = { "strands" },
+        .forward = concatenated
+    };
+    formulas[1] = (hg_hair_formula){
+        .form = "factored",
+        .part = "strand",
+        .what = "What the first layer makes of the strands, once per groom; goes into the network of frames.",
+        .takes = takes,
+        .output = "part",
+        .gives = "numbers for the network of frames",
+        .n_inputs = 1,
+        .input = { { "strand_features", strand, "strands" } },
+        .n_rows = 1,
+        .rows = { "strands" },
+        .forward = strand_formula
+    };
+    formulas[2] = (hg_hair_formula){
+        .form = "factored",
+        .part = "frame",
+        .what = "Displacements of hair strands from the rigidly posed groom, of one or more frames; trained without "
+                "simulated data by hairgrad.",
+        .takes = takes,
+        .output = "displacement",
+        .gives = hg_hair_displacements_are(task),
+        .n_inputs = rest ? 3 : 2,
+        .input = { { "part", -1, "strands" }, { "frame_features", frame, "frames" }, { "rest", rest, "strands" } },
+        .n_rows = 2,
+        .rows = { "frames", "strands" },
+        .forward = frame_formula
+    };
+    return 3;
+}
+
 const hg_hair_network hg_hair_network_strands = {
     .together = ROWS,
     .encoder_label = "strand encoder",
@@ -241,4 +333,5 @@ const hg_hair_network hg_hair_network_strands = {
     .check_model = check_model,
     .part = part_of,
     .outputs = outputs,
+    .formulas = formulas,
 };

@@ -27,7 +27,8 @@ static hg_status choose(const hg_hair_task *task, hg_hair_style *style)
         style->groom = kept;
         style->left_out = texture->left_out;
         style->texel = texture->kept_texel;
-        texture->kept_texel = NULL;
+        style->number = texture->kept_strand;
+        texture->kept_texel = texture->kept_strand = NULL;
     }
     hg_texture_destroy(texture);
     return status;
@@ -253,6 +254,79 @@ static hg_tensor *outputs(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_p
     return hg_permute(ctx, hg_reshape(ctx, out, 3, (int64_t[]){ S, rows, C }), (int[]){ 1, 0, 2 });
 }
 
+/* ---- formulas ----------------------------------------------------------------------------------------------- */
+
+static hg_tensor *image_of(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw)
+{
+    hg_tensor *in = hg_hair_normalised(task, ctx, raw, 0, task->inputs);
+    return in ? task->model->forward(task->model->self, ctx, &in, 1) : NULL;
+}
+
+/* [frames,columns] -> [frames,numbers of a strand,T,T] */
+static hg_tensor *image_formula(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    const hg_hair_task *task = self;
+    hg_tensor *y = hg_permute(ctx, image_of(task, ctx, in[0]), (int[]){ 0, 2, 3, 1 });
+    y = hg_hair_as_rows(task, ctx, hg_reshape(ctx, y, 3, (int64_t[]){ -1, texels(task), task->outputs }), NULL);
+    const int64_t numbers = y ? y->shape[2] : 0;
+    return hg_reshape(ctx, hg_permute(ctx, y, (int[]){ 0, 2, 1 }), 4,
+                      (int64_t[]){ -1, numbers, side(task), side(task) });
+}
+
+/* [frames,columns] -> [frames,strands of the groom,numbers of a strand] */
+static hg_tensor *strands_formula(void *self, hg_ctx *ctx, hg_tensor **in)
+{
+    const hg_hair_task *task = self;
+    const hg_hair_style *style = &task->styles[task->current];
+    const int64_t S = style->groom->strands, V = style->groom->vertices;
+    hg_tensor *texel = hg_tensor_from(ctx, HG_I32, 1, &S, style->texel);
+    hg_tensor *rest =
+        task->directions ? hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ S, V, 3 }, style->groom->points) : NULL;
+    if (!texel || (task->directions && !rest)) return NULL;
+    texel->name = "texel";
+    if (rest) rest->name = "rest";
+    hg_tensor *y = hg_permute(ctx, image_of(task, ctx, in[0]), (int[]){ 2, 3, 0, 1 });
+    y = hg_gather(ctx, hg_reshape(ctx, y, 2, (int64_t[]){ texels(task), -1 }), texel);
+    y = hg_permute(ctx, hg_reshape(ctx, y, 3, (int64_t[]){ S, -1, task->outputs }), (int[]){ 1, 0, 2 });
+    return hg_hair_as_rows(task, ctx, y, rest);
+}
+
+/* Turned edges begin at those of the rest strands: then there is no image without them. */
+static int formulas(const hg_hair_task *task, hg_hair_formula formulas[HG_HAIR_FORMULAS])
+{
+    static const char takes[] =
+        "raw features, one row per frame, columns as listed in 'features', the groom's code first; "
+        "normalisation ((x - mean) / deviation) is part of the graph";
+    const hg_hair_formula all[2] = {
+        { .form = "image",
+          .what =
+              "Displacements of hair from the rigidly posed groom, an image over the scalp with a strand in a texel; "
+              "trained without simulated data by hairgrad.",
+          .takes = takes,
+          .output = "displacement",
+          .gives = hg_hair_displacements_are(task),
+          .n_inputs = 1,
+          .input = { { "features", task->inputs, "frames" } },
+          .n_rows = 1,
+          .rows = { "frames" },
+          .forward = image_formula },
+        { .form = "strands",
+          .what = "Displacements of the strands of a groom from the rigidly posed one, of one or more frames; trained "
+                  "without simulated data by hairgrad.",
+          .takes = takes,
+          .output = "displacement",
+          .gives = hg_hair_displacements_are(task),
+          .n_inputs = 1,
+          .input = { { "features", task->inputs, "frames" } },
+          .n_rows = 1,
+          .rows = { "frames" },
+          .forward = strands_formula },
+    };
+    const int first = task->directions ? 1 : 0;
+    for (int i = first; i < 2; i++) formulas[i - first] = all[i];
+    return 2 - first;
+}
+
 const hg_hair_network hg_hair_network_texture = {
     .of_grooms = true,
     .encoder_label = "groom encoder",
@@ -265,4 +339,5 @@ const hg_hair_network hg_hair_network_texture = {
     .part = part_of,
     .images = images,
     .outputs = outputs,
+    .formulas = formulas,
 };

@@ -68,17 +68,23 @@ int hg_hair_strand_inputs(const hg_hair_task *task);                            
  * strand's is "rest": its vertices 1.. relative to the root, [(V-1)*3]: what the turned edges start from. */
 hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
 hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t frame, const double *shape, float *out /* [frame_inputs] */);
-/* The network as a formula of ONE concatenated raw input [N,inputs] -> displacement [N,(V-1)*3] in head rest space. Behind these, of
- * a network with `model.orientations`, stand so many columns: the turns o of the edges' frames, [V-1,4] (w,x,y,z), nearly of length
- * one: the orientation of an edge is R o q0, R the root's rotation and q0 its frame at rest, carried along the rest strand. */
-int hg_hair_turns(const hg_hair_task *task);                                      /* (V-1)*4, or 0 */
-hg_tensor *hg_hair_forward_concatenated(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
+int hg_hair_turns(const hg_hair_task *task);                                      /* columns of turns behind displacements: (V-1)*4, or 0 */
+/* Of a network that makes images of grooms: their side T, and of each strand of the groom its texel, row T + column, and its number in
+ * the groom before strands without a texel were left out. Else 0. */
+int hg_hair_texture(const hg_hair_task *task, const int32_t **texel, const int32_t **strand);
 
-/* The same in two parts: what belongs to the strands, raw [S,strand_inputs] without the rest columns -> [S,width]; and the
- * rest: part, raw frame features [B,frame_inputs], and with directions the rest columns [S,(V-1)*3] (else NULL)
- * -> [B,S,(V-1)*3]. */
-hg_tensor *hg_hair_forward_strands(hg_hair_task *task, hg_ctx *ctx, hg_tensor *raw);
-hg_tensor *hg_hair_forward_frames(hg_hair_task *task, hg_ctx *ctx, hg_tensor *part, hg_tensor *raw, hg_tensor *rest);
+/* The network as formulas of raw inputs, as it is exported. Formulas of one form belong together: a part's output is an input of the
+ * next. The first form's has one input, which has all columns of hg_hair_features. */
+typedef struct { const char *name; int columns /* -1: as many as the output of the formula before */; const char *rows; } hg_hair_formula_input;
+typedef struct {
+    const char *form, *part;                  /* "concatenated"; "factored", "strand"; part NULL: the only one */
+    const char *what, *takes, *output, *gives; /* a sentence; what the inputs are; the output's name, and what it is */
+    int n_inputs; hg_hair_formula_input input[3];
+    int n_rows; const char *rows[2];          /* leading axes of the output that are as long as inputs */
+    hg_tensor *(*forward)(void *task, hg_ctx *ctx, hg_tensor **in);
+} hg_hair_formula;
+enum { HG_HAIR_FORMULAS = 4 };
+int hg_hair_formulas(const hg_hair_task *task, hg_hair_formula formulas[HG_HAIR_FORMULAS]); /* how many */
 
 /* ---- drape -------------------------------------------------------------------------------------------------- */
 

@@ -120,6 +120,7 @@ void hg_hair_style_destroy(hg_hair_style *style)
     hg_free(style->lock);
     hg_free(style->raw);
     hg_free(style->texel);
+    hg_free(style->number);
     *style = (hg_hair_style){ 0 };
 }
 

@@ -3,6 +3,7 @@
 #define _GNU_SOURCE
 #define HG_NO_CALLER
 #include "export/export.h"
+#include "tasks/hair.h"
 #include "tests/test.h"
 
 #include "onnx.pb-c.h"
@@ -463,10 +464,14 @@ static void check_parts(hg_hair_task *task, hg_ctx *ctx, hg_tensor *x, const flo
     for (int64_t i = 0; i < hg_tensor_count(y); i++)
         assert_true(fabs(hg_tensor_item(y, i) - (double)expected[i]) < 1e-7);
 
-    char *path = test_path("parts.onnx"), *strand_path, *frame_path;
-    OK(hg_export_hair_onnx_factored(task, ctx, path, &strand_path, &frame_path));
-    assert_non_null(strstr(strand_path, "/parts.strand.onnx"));
-    Onnx__ModelProto *strand = parse(strand_path), *frames = parse(frame_path);
+    char *path = test_path("parts.onnx");
+    hg_exported files[HG_HAIR_FORMULAS];
+    int n;
+    OK(hg_export_hair_onnx_as(task, ctx, "factored", path, files, &n));
+    assert_int_equal(n, 2);
+    assert_non_null(strstr(files[0].path, "/parts.strand.onnx"));
+    assert_non_null(strstr(files[1].path, "/parts.frame.onnx"));
+    Onnx__ModelProto *strand = parse(files[0].path), *frames = parse(files[1].path);
     check_order(strand->graph);
     check_order(frames->graph);
     assert_int_equal(strand->graph->input[0]->type->tensor_type->shape->dim[1]->dim_value, own);
@@ -477,9 +482,10 @@ static void check_parts(hg_hair_task *task, hg_ctx *ctx, hg_tensor *x, const flo
     assert_int_equal(out->dim[2]->dim_value, 27);
     onnx__model_proto__free_unpacked(strand, NULL);
     onnx__model_proto__free_unpacked(frames, NULL);
+    hg_exported_free(files, n);
+    assert_int_equal(hg_export_hair_onnx_as(task, ctx, "image", path, files, &n), HG_INVALID);
+    assert_non_null(strstr(hg_message(), "this neuralocks has no form \"image\"; it has concatenated, factored"));
     hg_free(path);
-    hg_free(strand_path);
-    hg_free(frame_path);
 }
 
 static void hair_network(void **state)
@@ -560,6 +566,114 @@ static void hair_network(void **state)
     hg_ctx_destroy(ctx);
 }
 
+static void open_dimensions(const Onnx__ValueInfoProto *value, int rank, const int64_t *expected)
+{
+    const Onnx__TensorShapeProto *shape = value->type->tensor_type->shape;
+    assert_int_equal(shape->n_dim, rank);
+    for (int i = 0; i < rank; i++) {
+        if (expected[i] < 0)
+            assert_string_equal(shape->dim[i]->dim_param, "frames");
+        else
+            assert_int_equal(shape->dim[i]->dim_value, expected[i]);
+    }
+}
+
+/* Of a network of grooms: images that any groom's code makes, and the strands of one, which are its texels. */
+static void network_of_grooms(void **state)
+{
+    (void)state;
+    static const char tiny[] = "scene: { grooms: [wavy, short], strands: 60, vertices: 8, seconds: 1 s, motion_kinds: "
+                               "[turn], held_out_kinds: [shake] }\n"
+                               "model: { kind: quaffure, texture: 8, width: 8, depth: 1, orientations: \"yes\" }\n"
+                               "features: { history: 1, latent: 4, encoder_width: 8, encoder_steps: 5 }\n"
+                               "losses: { gravity: {} }\n"
+                               "training: { strands: 16 }\n";
+    enum { T = 8, D = 7 * 3, NUMBERS = 7 * 7 };
+    int n_rows;
+    const hg_config_row *rows = hg_hair_schema(&n_rows);
+    for (int directions = 0; directions < 2; directions++) {
+        hg_config *config;
+        hg_hair_task *task;
+        hg_ctx *ctx = context();
+        OK(hg_config_parse(&config, tiny, "tiny.yaml", rows, n_rows));
+        if (directions) OK(hg_config_set(config, "model.output", "directions"));
+        OK(hg_hair_task_create(&task, ctx, config, NULL, NULL));
+        OK(hg_hair_choose_groom(task, "short"));
+        const int64_t S = hg_hair_groom(task)->strands;
+        hg_tensor *last = hg_hair_model(task)->params[hg_hair_model(task)->n_params - 2];
+        for (int64_t i = 0; i < hg_tensor_count(last); i++)
+            ((float *)last->data)[i] = (float)(0.3 * hg_random_normal(12, 0, (uint64_t)i));
+        hg_hair_formula forms[HG_HAIR_FORMULAS];
+        const int n = hg_hair_formulas(task, forms);
+        assert_int_equal(n, directions ? 1 : 2);
+        assert_string_equal(forms[0].form, directions ? "strands" : "image");
+        const int64_t columns = forms[0].input[0].columns;
+
+        char *h5_path = test_path("grooms.h5"), *path = test_path("grooms.onnx");
+        OK(hg_export_hair_h5(task, ctx, h5_path));
+        hg_h5 *file;
+        float *raw, *answer;
+        OK(hg_h5_open(&file, h5_path));
+        OK(hg_h5_read(file, "sample/features", HG_F32, 2, (int64_t[]){ 4, columns }, NULL, (void **)&raw));
+        const int64_t image[4] = { 4, NUMBERS, T, T }, of_strands[3] = { 4, S, NUMBERS };
+        OK(hg_h5_read(file, "sample/displacement", HG_F32, directions ? 3 : 4, directions ? of_strands : image, NULL,
+                      (void **)&answer));
+        hg_tensor *x = hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ 4, columns }, raw);
+        const hg_tensor *y = forms[n - 1].forward(task, ctx, &x);
+        assert_non_null(y);
+        const int32_t *texel, *strand;
+        assert_int_equal(hg_hair_texture(task, &texel, &strand), T);
+        double largest = 0;
+        for (int64_t b = 0; b < 4; b++)
+            for (int64_t s = 0; s < S; s++)
+                for (int64_t k = 0; k < NUMBERS; k++) {
+                    const double now = hg_tensor_item(y, (b * S + s) * NUMBERS + k);
+                    const int64_t there = directions ? (b * S + s) * NUMBERS + k : (b * NUMBERS + k) * T * T + texel[s];
+                    assert_true(fabs(now - (double)answer[there]) < 1e-7);
+                    if (k < D) largest = fmax(largest, fabs(now));
+                }
+        assert_true(largest > 1e-6);
+
+        for (int i = 0; i < n; i++) {
+            hg_exported files[HG_HAIR_FORMULAS];
+            int written;
+            OK(hg_export_hair_onnx_as(task, ctx, forms[i].form, path, files, &written));
+            assert_int_equal(written, 1);
+            Onnx__ModelProto *parsed = parse(path);
+            check_order(parsed->graph);
+            open_dimensions(parsed->graph->input[0], 2, (int64_t[]){ -1, columns });
+            if (!strcmp(forms[i].form, "image"))
+                open_dimensions(parsed->graph->output[0], 4, (int64_t[]){ -1, NUMBERS, T, T });
+            else
+                open_dimensions(parsed->graph->output[0], 3, (int64_t[]){ -1, S, NUMBERS });
+            assert_string_equal(property(parsed, "form"), forms[i].form);
+            assert_string_equal(property(parsed, "texture"), "8");
+            assert_non_null(strstr(property(parsed, "features"), "z_groom[3]"));
+            int at = 0, number = 0;
+            const char *list = property(parsed, "texel"), *numbers = property(parsed, "strand");
+            assert_int_equal(sscanf(list, "[%d,", &at), 1);
+            assert_int_equal(sscanf(numbers, "[%d,", &number), 1);
+            assert_int_equal(at, texel[0]);
+            assert_int_equal(number, strand[0]);
+            assert_int_equal(atoi(property(parsed, "strands_left_out")) + S, 60);
+            onnx__model_proto__free_unpacked(parsed, NULL);
+            hg_exported_free(files, written);
+        }
+        int32_t *kept;
+        OK(hg_h5_read(file, "texture/texel", HG_I32, 1, &S, NULL, (void **)&kept));
+        assert_memory_equal(kept, texel, (size_t)S * sizeof *kept);
+        hg_free(kept);
+        hg_free(raw);
+        hg_free(answer);
+        hg_h5_close(file);
+        hg_free(h5_path);
+        hg_free(path);
+        hg_hair_task_destroy(task);
+        hg_config_destroy(config);
+        hg_ctx_destroy(ctx);
+    }
+}
+
 /* ---- for ONNX Runtime ---------------------------------------------------------------------------------------- */
 
 static void dump_one(const char *folder, int f, int64_t rows)
@@ -623,9 +737,13 @@ static void dump(void **state)
 int main(void)
 {
     const struct CMUnitTest tests[] = {
-        cmocka_unit_test(file_of_a_network),      cmocka_unit_test(every_formula_parses),
-        cmocka_unit_test(every_emitter_is_tried), cmocka_unit_test(refusals),
-        cmocka_unit_test(hair_network),           cmocka_unit_test(dump),
+        cmocka_unit_test(file_of_a_network),
+        cmocka_unit_test(every_formula_parses),
+        cmocka_unit_test(every_emitter_is_tried),
+        cmocka_unit_test(refusals),
+        cmocka_unit_test(hair_network),
+        cmocka_unit_test(network_of_grooms),
+        cmocka_unit_test(dump),
     };
     return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

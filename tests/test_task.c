@@ -1,6 +1,7 @@
 /* tasks: a tiny procedural run from config to metrics; features; sampling; resume; the bit-for-bit promises; bad configs. */
 #include "geometry/vector.h"
 #include "hairgrad.h"
+#include "tasks/hair.h"
 
 #include <math.h>
 #include <setjmp.h>
