@@ -27,6 +27,7 @@ static const struct {
     { "decoder", bench_decoder },
     { "step", bench_step },
     { "inference", bench_inference },
+    { "pairs", bench_pairs },
 };
 enum { ROWS = sizeof rows / sizeof *rows };
 

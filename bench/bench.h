@@ -72,7 +72,8 @@ void bench_write(bench *b, const char *name, hg_dtype dtype, int rank, const int
 
 struct hg_hair_task *
 bench_task(bench *b,
-           int threads); /* 3,000 strands of 25 vertices on a body, all energies; threads 0: one of the host */
+           int threads);   /* 3,000 strands of 25 vertices on a body, all energies; threads 0: one of the host */
+void bench_body(bench *b); /* body.h5 in the folder: the real one where it is, else a bust of as many triangles */
 bool bench_steady_begin(bench *b, int64_t state[3]);
 int bench_steady(bench *b, const int64_t state[3]); /* 1: nothing was allocated since */
 
@@ -86,6 +87,7 @@ void bench_network(bench *b);
 void bench_decoder(bench *b);
 void bench_step(bench *b);
 void bench_inference(bench *b);
+void bench_pairs(bench *b);
 void bench_step_memory(bench *b); /* prints bytes; in a process of its own */
 
 /* Embree, where it is installed: bench/embree.c. */

@@ -46,13 +46,19 @@ static void make_body_file(bench *b, const char *path)
     hg_body_destroy(body);
 }
 
+void bench_body(bench *b)
+{
+    char path[400];
+    snprintf(path, sizeof path, "%s/body.h5", b->folder);
+    if (!hg_file_exists(path)) make_body_file(b, path);
+}
+
 hg_hair_task *bench_task(bench *b, int threads)
 {
     const int c = threads == 0 ? (b->device ? 2 : 1) : threads > 1;
     if (b->task[c]) return b->task[c];
-    char path[400], scene[600], text[2048];
-    snprintf(path, sizeof path, "%s/body.h5", b->folder);
-    if (!hg_file_exists(path)) make_body_file(b, path);
+    char scene[600], text[2048];
+    bench_body(b);
     snprintf(scene, sizeof scene, ", folder: \"%s\", body: body.h5", b->folder);
     snprintf(text, sizeof text, config_text, scene);
     int n;
