@@ -49,7 +49,7 @@ settings() { # of a variant
     self_collision) with self_collision stiffness=1e-10 h="${H:-0.005}" ;;
     springs) echo "$springs" ;;
     springs_to_ghosts) echo "$springs $(with integrity stiffness="${GHOST:-5e-7}")" ;;
-    rods) echo "$(without bend_twist stretch) $(with cosserat_stretch_shear stiffness="$pull")" \
+    rods) echo "model.orientation_of=edges $(without bend_twist stretch) $(with cosserat_stretch_shear stiffness="$pull")" \
         "$(with cosserat_bend_twist stiffness="$(product 1e-8 "$edge")") $(with unit_quaternion stiffness="$(product 20 "$pull")")" ;;
     runs) echo training.frames=4 training.consecutive=4 ;;
     pose_reg) echo training.frames=4 training.consecutive=4 "$(with pose_reg stiffness=1e-5)" ;;

@@ -96,9 +96,11 @@ static hg_status describe_hair(const hg_hair_task *task, const hg_hair_formula *
                            hg_hair_turns(task)));
         describe(
             d, "turn",
-            hg_strdup(
-                "o, w x y z by edge, in head rest space: the orientation of the edge is R o q0, q0 the frame of the "
-                "rest edge: +z turned to the first edge the short way, and on from edge to edge"));
+            hg_format(
+                "o, w x y z by edge, in head rest space: the orientation of the edge is %sR o q0, q0 the frame of "
+                "the rest edge: +z turned to the first edge the short way, and on from edge to edge%s",
+                hg_hair_turns_edges(task) ? "T " : "",
+                hg_hair_turns_edges(task) ? "; T turns the posed edge's direction to the edge's the short way" : ""));
     }
     describe(d, "features", features_json(task));
     describe(d, "vertices", hg_format("%lld", (long long)groom->vertices));

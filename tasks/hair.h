@@ -245,6 +245,7 @@ struct hg_hair_task {
     hg_hair_learnt learnt[HG_HAIR_MATERIALS];
     int n_materials, n_learnt;
     hg_tensor *no_turn;    /* [4]: 1, 0, 0, 0, where there are orientations */
+    hg_tensor *along;      /* [3]: 0, 0, 1, where they are carried to the strands' own edges; else NULL */
     hg_tensor *output_map; /* [outputs,(V-1)*3]: outputs -> displacements */
     hg_tensor *mean_tensor, *inverse_deviation;
 

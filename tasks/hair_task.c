@@ -550,6 +550,7 @@ void hg_hair_task_destroy(hg_hair_task *task)
     hg_model_destroy(task->encoder);
     hg_tensor_destroy(task->output_map);
     hg_tensor_destroy(task->no_turn);
+    hg_tensor_destroy(task->along);
     hg_tensor_destroy(task->mean_tensor);
     hg_tensor_destroy(task->inverse_deviation);
     for (int i = 0; i < task->n_features; i++) hg_free((char *)(uintptr_t)task->features[i].name);

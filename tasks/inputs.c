@@ -6,7 +6,8 @@
  *   q            R o q0 of every edge [w,x,y,z]: the rest frame q0, carried along the rest strand as cosserat_bend_twist does, the
  *                network's own turn o in head rest space (1 + offset, not of length one: unit_quaternion sees to that), and the
  *                root's rotation R. In head rest space, since equal turns of neighbours then bend nothing, as equal
- *                displacements stretch nothing. */
+ *                displacements stretch nothing. model.orientation_of: edges puts the short way from the posed edge to the
+ *                edge before it (network.c). */
 #include "tasks/hair.h"
 
 #include "geometry/vector.h"

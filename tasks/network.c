@@ -50,6 +50,11 @@ static hg_status make_output(hg_hair_task *task)
         if (!task->no_turn) return HG_MEMORY;
         task->no_turn->name = "no_turn";
         HG_TRY(hg_tensor_write(task->no_turn, (float[]){ 1, 0, 0, 0 }));
+        if (!strcmp(hg_config_text(config, "model.orientation_of"), "edges")) {
+            task->along = hg_tensor_create(task->ctx, HG_F32, 1, (int64_t[]){ 3 });
+            if (!task->along) return HG_MEMORY;
+            HG_TRY(hg_tensor_write(task->along, (float[]){ 0, 0, 1 }));
+        }
     }
     if (task->directions) return HG_OK;
     task->output_map = hg_tensor_create(task->ctx, HG_F32, 2, (int64_t[]){ moved, columns });
@@ -127,15 +132,25 @@ static hg_tensor *turns(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *output
     return hg_add(ctx, o, task->no_turn);
 }
 
-/* R o q0, or o R q0 where the axes are the world's, of rows with the roots' rotation [rows,S,4], rest frames q0 [S,V-1,4]. */
-static hg_tensor *edge_frames(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rotation,
-                              hg_tensor *edges)
+/* The short way from the edges' directions with frames q [..,V-1,4] to those of strands x [..,V,3], as quaternions. */
+static hg_tensor *carried(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *q, hg_tensor *x)
 {
-    if (!outputs || !rotation) return NULL;
+    const int64_t edges = task->groom->vertices - 1;
+    const int axis = x->rank - 2;
+    hg_tensor *now = hg_normalize(ctx, hg_sub(ctx, hg_slice(ctx, x, axis, 1, edges), hg_slice(ctx, x, axis, 0, edges)));
+    return hg_transport(ctx, hg_quat_rotate(ctx, q, task->along), now);
+}
+
+/* R o q0, or o R q0 where the axes are the world's, of rows with the roots' rotation [rows,S,4], rest frames q0 [S,V-1,4]; and
+ * where turns are those of the strands' own edges, that with T of the strands x before it. */
+static hg_tensor *edge_frames(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rotation,
+                              hg_tensor *edges, hg_tensor *x)
+{
+    if (!outputs || !rotation || !x) return NULL;
     hg_tensor *root = hg_reshape(ctx, rotation, 4, (int64_t[]){ rotation->shape[0], rotation->shape[1], 1, 4 });
-    hg_tensor *o = turns(task, ctx, outputs);
-    return task->world ? hg_quat_mul(ctx, o, hg_quat_mul(ctx, root, edges))
-                       : hg_quat_mul(ctx, root, hg_quat_mul(ctx, o, edges));
+    hg_tensor *o = turns(task, ctx, outputs), *posed = hg_quat_mul(ctx, root, edges);
+    hg_tensor *q = task->world ? hg_quat_mul(ctx, o, posed) : hg_quat_mul(ctx, root, hg_quat_mul(ctx, o, edges));
+    return task->along ? hg_quat_mul(ctx, carried(task, ctx, posed, x), q) : q;
 }
 
 hg_hair_part hg_hair_part_of(const hg_hair_task *task, hg_ctx *ctx, const hg_hair_subset *subset)
@@ -201,13 +216,13 @@ hg_tensor *hg_hair_predict_edges(const hg_hair_task *task, hg_ctx *ctx, const hg
         hg_tensor *out = network->outputs(task, ctx, part, whole, row, end - row, g);
         hg_tensor *of = part->grooms == 1 ? rest : hg_tensor_rows(ctx, rest, g * S, S);
         hg_tensor *turned = hg_tensor_rows(ctx, rotation, row, end - row);
-        add_piece(ctx, pieces, &n,
-                  place(task, ctx, displacements(task, ctx, out, of), of, turned,
-                        hg_tensor_rows(ctx, position, row, end - row)));
+        hg_tensor *x = place(task, ctx, displacements(task, ctx, out, of), of, turned,
+                             hg_tensor_rows(ctx, position, row, end - row));
+        add_piece(ctx, pieces, &n, x);
         if (!with_edges) continue;
         add_piece(ctx, edges, &n_edges,
                   edge_frames(task, ctx, out, turned,
-                              part->grooms == 1 ? part->edges : hg_tensor_rows(ctx, part->edges, g * S, S)));
+                              part->grooms == 1 ? part->edges : hg_tensor_rows(ctx, part->edges, g * S, S), x));
     }
     if (with_edges) *q = n_edges == 1 ? edges[0] : hg_concat(ctx, 0, n_edges, edges);
     return n == 1 ? pieces[0] : hg_concat(ctx, 0, n, pieces);
@@ -240,7 +255,7 @@ hg_status hg_hair_predict_row(const hg_hair_task *task, hg_ctx *ctx, const hg_ha
         hg_tensor *placed = place(task, ctx, displacements(task, ctx, out, of), of, turned,
                                   hg_tensor_from(ctx, HG_F32, 3, (int64_t[]){ 1, count, 3 }, position + first * 3));
         hg_tensor *edges =
-            q ? edge_frames(task, ctx, out, turned, hg_tensor_rows(ctx, part->edges, first, count)) : NULL;
+            q ? edge_frames(task, ctx, out, turned, hg_tensor_rows(ctx, part->edges, first, count), placed) : NULL;
         if ((placed && hg_tensor_read(placed, x + first * V * 3) != HG_OK) ||
             (edges && hg_tensor_read(edges, q + first * (V - 1) * 4) != HG_OK))
             hg_ctx_fail(ctx, HG_UNSUPPORTED, "%s", hg_message());
@@ -266,6 +281,8 @@ hg_status hg_hair_predict_frame(const hg_hair_task *task, hg_ctx *ctx, const hg_
 /* ---- for formulas ------------------------------------------------------------------------------------------- */
 
 int hg_hair_turns(const hg_hair_task *task) { return task->orientations ? (int)(task->groom->vertices - 1) * 4 : 0; }
+
+bool hg_hair_turns_edges(const hg_hair_task *task) { return task->along != NULL; }
 
 /* Outputs as numbers in rows: displacements, then turns where there are any. */
 hg_tensor *hg_hair_as_rows(const hg_hair_task *task, hg_ctx *ctx, hg_tensor *outputs, hg_tensor *rest)

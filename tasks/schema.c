@@ -57,6 +57,8 @@ static const hg_config_row rows[] = {
     { "model.orientations", HG_CHOICE, "asked", NULL, "asked|yes|no", 0, 0,
       "four more outputs for every edge, the turn of its frame: asked, where an energy is about orientations (the "
       "config of a run says yes or no)" },
+    { "model.orientation_of", HG_CHOICE, "posed", NULL, "posed|edges", 0, 0,
+      "what is turned by them: the frames of the posed groom's edges, or these carried to where the edges are" },
     { "model.orientation_scale", HG_NUMBER, "0.1", "1", NULL, 1e-6, 10,
       "added to the quaternion of a turn for an output of 1" },
     { "model.pinned", HG_INTEGER, "1", NULL, NULL, 1, 2,

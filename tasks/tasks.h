@@ -68,7 +68,11 @@ int hg_hair_strand_inputs(const hg_hair_task *task);                            
  * strand's is "rest": its vertices 1.. relative to the root, [(V-1)*3]: what the turned edges start from. */
 hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
 hg_status hg_hair_frame_features(hg_hair_task *task, hg_ctx *ctx, const hg_motion *motion, int64_t frame, const double *shape, float *out /* [frame_inputs] */);
-int hg_hair_turns(const hg_hair_task *task);                                      /* columns of turns behind displacements: (V-1)*4, or 0 */
+/* Columns of turns behind the displacements, of a network with `model.orientations`: (V-1)*4, else 0. Turns o [V-1,4] (w,x,y,z) are
+ * nearly of length one: the orientation of an edge is R o q0, R the root's rotation and q0 its frame at rest, carried along the rest
+ * strand; with `model.orientation_of: edges` T R o q0, T the short way from the posed edge's direction to the edge's. */
+int  hg_hair_turns(const hg_hair_task *task);
+bool hg_hair_turns_edges(const hg_hair_task *task);                               /* with T */
 /* Of a network that makes images of grooms: their side T, and of each strand of the groom its texel, row T + column, and its number in
  * the groom before strands without a texel were left out. Else 0. */
 int hg_hair_texture(const hg_hair_task *task, const int32_t **texel, const int32_t **strand);
