@@ -13,14 +13,19 @@
  *   body            C = D_v - n.x + n.a where it is positive          K = 3 k C of `body_collision`, so that the force is that of k C^3
  *   style           C = x - x_posed                                   K = 2 k (1 - min(1, s/s_max)) of `hair_style`
  *
- * s = +-1 is the sign with s r.r0 >= 0 (q and -q are one orientation). r0 is made of the rest frames q0: carried along the
- * strand, or straight from the root edge for `bend_twist`, as the energies have them. `gravity` and `drag` are in the prediction,
+ * s = +-1 is the sign with s r.r0 >= 0 (q and -q are one orientation). r0 is made of the rest frames q0, carried along the strand. `gravity` and `drag` are in the prediction,
  * `inertia` is what the method is, and unit_quaternion holds exactly. With weights; each weight multiplies its stiffness.
  *
- * With q_i = transport(t_0 -> t_i) F q0_0 these sums are `stretch` and `bend_twist`. What differs:
- * orientations are free. An edge may shear, by F/(k l0) for a force F, 0.1 degrees for hair of 4 mm edges under its own weight; and a
- * curled strand may untwist, which its points alone cannot show. So the least energy is at most that of the config. Planes
- * of contact stay as they were found for a substep (of hair coming to rest: for a step).
+ * Twist, the z of C in the frame of the edge: points cannot show it, and the frames of `bend_twist_chain` are carried without any. So
+ * with the energies of points K is a thousand times larger about the edge than across it: then q_i is the carried frame, and
+ * what is at rest is the minimum of `stretch` + `bend_twist_chain` (Sintel groom: the energy to 5 digits). The rods of the Cosserat
+ * energies twist as they bend. What differs:
+ *
+ *   - an edge may shear, by F/(k l0) for a force F: 0.1 degrees for 4 mm edges under the weight of a hair;
+ *   - `bend_twist` carries its frames straight from the first edge. Where a strand leaves the plane they have a twist that depends on
+ *     the whole way, and no constraint of neighbours knows of it: rods of `bend_twist` are those of `bend_twist_chain`;
+ *   - planes of contact stay as they were found for a substep, of hair that comes to rest for a step;
+ *   - pairs and neighbour sums are left out (hg_xpbd_left_out); strands may keep a distance instead.
  *
  * A substep of h seconds: prediction, iterations, velocities. Two ways of iterating:
  *
@@ -140,7 +145,6 @@ typedef struct {
     double clamp;             /* N m^2 of the root */
     double style, s_max;      /* N/m, m */
     const double *near, *far; /* [S,V] distances of hair_style and of body_collision at rest */
-    bool direct;              /* rest frames straight from the root edge */
 } material;
 
 static bool is(const hg_term *term, const char *name) { return !strcmp(term->energy->name, name); }
@@ -150,7 +154,6 @@ static hg_status take_bend(hg_xpbd *s, const hg_term *term, material *m)
     const double k = term->weight * hg_term_param(term, "stiffness");
     if (is(term, "cosserat_bend_twist")) return m->cosserat += k, HG_OK;
     m->bend += k;
-    m->direct = is(term, "bend_twist");
     s->smooth = !strcmp(hg_term_option(term, "strain"), "smooth");
     if (!strcmp(hg_term_option(term, "root"), "clamped")) m->clamp += k;
     return HG_OK;
@@ -225,17 +228,15 @@ static hg_quatd take(const hg_lanes *rows, int lane)
     return hg_quatd_make(rows[0][lane], rows[1][lane], rows[2][lane], rows[3][lane]);
 }
 
-static void frames_at_rest(const hg_xpbd *s, int64_t strand, bool direct)
+static void frames_at_rest(const hg_xpbd *s, int64_t strand)
 {
     const double *rest = s->rest + strand * s->V * 3;
-    hg_vec3d before = hg_vec3d_make(0, 0, 1), first = before;
-    hg_quatd q = hg_quatd_identity(), root = q;
+    hg_vec3d before = hg_vec3d_make(0, 0, 1);
+    hg_quatd q = hg_quatd_identity();
     for (int64_t i = 0; i < s->E; i++) {
         double length;
         const hg_vec3d t = tangent(rest + 3 * i, &length);
-        q = hg_quatd_normalize(direct && i ? hg_quatd_mul(hg_quatd_transport(first, t), root)
-                                           : hg_quatd_mul(hg_quatd_transport(before, t), q));
-        if (!i) first = t, root = q;
+        q = hg_quatd_normalize(hg_quatd_mul(hg_quatd_transport(before, t), q));
         hg_quatd_store(s->rest_frame + (strand * s->E + i) * 4, q);
         before = t;
     }
@@ -294,9 +295,10 @@ static hg_status fill(hg_xpbd *s, const hg_term *terms, int n, const hg_groom_da
     if (!(m.stretch + m.shear > 0))
         return hg_fail(HG_INVALID, "xpbd: no energy holds edges together: it needs stretch or cosserat_stretch_shear");
     s->styled = m.style > 0;
+    s->twist = m.bend > 0 ? 1000 : 1;
     HG_TRY(take_memory(s));
     memcpy(s->rest, data->rest, (size_t)(s->S * s->V * 3) * sizeof *s->rest);
-    for (int64_t i = 0; i < s->S; i++) frames_at_rest(s, i, m.direct);
+    for (int64_t i = 0; i < s->S; i++) frames_at_rest(s, i);
     for (int64_t tile = 0; tile < s->tiles; tile++) {
         hg_xpbd_tile t;
         hg_xpbd_tile_at(s, tile, &t);
@@ -482,7 +484,7 @@ static hg_status search(hg_xpbd *s, double part, double way)
     return s->contact ? hg_xpbd_find_contact(s, part, way) : HG_OK;
 }
 
-/* Searches between launches: in a motion before every substep, of hair that comes to rest likewise. */
+/* Contact is searched for between launches, before every substep: planes that are older throw the hair about. */
 static hg_status one_step(hg_xpbd *s, double dt, bool dynamic)
 {
     const int substeps = s->options.substeps > 0 ? s->options.substeps : dynamic || s->options.sweeps ? 20 : 1;

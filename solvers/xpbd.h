@@ -42,6 +42,7 @@ struct hg_xpbd {
     int64_t S, V, E, tiles;
     int pinned;
     double gravity[3], drag;
+    double twist; /* stiffness about the edge, against that across it */
     bool smooth, contact, rest_clearance, placed, styled;
     double contact_stiffness, contact_distance;
     hg_contact_mode mode;

@@ -95,16 +95,19 @@ INSIDE void shear(const hg_xpbd_tile *t, int64_t i, hg_lanes h2)
 }
 
 /* Of the pair (i - 1, i): conj(p) q against r0, with the sign that is nearer. */
-INSIDE void bend(const hg_xpbd_tile *t, int64_t i, hg_lanes h2, double scalar_part)
+INSIDE void bend(const hg_xpbd *s, const hg_xpbd_tile *t, int64_t i, hg_lanes h2)
 {
-    const hg_lanes kappa = t->bend[i] * h2, wp = i ? t->q_weight[i - 1] : kappa - kappa, wq = t->q_weight[i];
+    const hg_lanes kappa = t->bend[i] * h2, about = s->twist * kappa, wp = i ? t->q_weight[i - 1] : kappa - kappa,
+                   wq = t->q_weight[i];
     const quat p = i ? qload(t->q + 4 * i - 4) : qload(t->root), q = qload(t->q + 4 * i), r0 = qload(t->rest + 4 * i);
     const quat r = product(conjugate(p), q), force = qload(t->bend_force + 4 * i);
     const hg_lanes one = kappa - kappa + 1, sign = choose(qdot(r, r0) < 0, -one, one);
     quat strain = qminus(qtimes(r, sign), r0);
-    strain.w *= scalar_part;
+    if (!s->smooth) strain.w = kappa - kappa;
     const hg_lanes scale = -1 / (kappa * (wp + wq) + 1);
-    const quat change = qtimes(qplus(qtimes(strain, kappa), force), scale), turned = qtimes(change, sign);
+    quat change = qtimes(qplus(qtimes(strain, kappa), force), scale);
+    change.z = -(about * strain.z + force.z) / (about * (wp + wq) + 1);
+    const quat turned = qtimes(change, sign);
     qstore(t->bend_force + 4 * i, qplus(force, change));
     if (i) qstore(t->q + 4 * i - 4, unit(qplus(p, qtimes(product(q, conjugate(turned)), wp)), p));
     qstore(t->q + 4 * i, unit(qplus(q, qtimes(product(p, turned), wq)), q));
@@ -183,9 +186,9 @@ INSIDE void sweep(const hg_xpbd *s, const hg_xpbd_tile *t, hg_lanes h2, bool bac
     const int64_t E = s->E;
     for (int64_t k = 0; k < E; k++) {
         const int64_t i = back ? E - 1 - k : k;
-        if (!back) bend(t, i, h2, s->smooth ? 1 : 0);
+        if (!back) bend(s, t, i, h2);
         shear(t, i, h2);
-        if (back) bend(t, i, h2, s->smooth ? 1 : 0);
+        if (back) bend(s, t, i, h2);
         if (s->contact) contact(t, i + 1, h2, s->contact_stiffness);
         if (s->styled) style(t, i + 1, h2);
     }
@@ -218,6 +221,14 @@ INSIDE void add_projection(block *b, int at, hg_lanes scale, hg_lanes sigma, vec
             b->own[at + r][at + k] += (r == k ? scale * (1 + 1e-10) : scale - scale) - scale * sigma * c[r] * c[k];
 }
 
+/* own[at..] += scale a a^T */
+INSIDE void add_outer(block *b, int at, hg_lanes scale, vec a)
+{
+    const hg_lanes c[3] = { a.x, a.y, a.z };
+    for (int r = 0; r < 3; r++)
+        for (int k = 0; k <= r; k++) b->own[at + r][at + k] += scale * c[r] * c[k];
+}
+
 INSIDE void add_force(block *b, int at, vec f)
 {
     b->force[at] += f.x, b->force[at + 1] += f.y, b->force[at + 2] += f.z;
@@ -242,9 +253,7 @@ INSIDE void begin_block(const hg_xpbd *s, const hg_xpbd_tile *t, int64_t i, hg_l
     if (!s->contact) return;
     const vec n = load(t->normal + 3 * v);
     const hg_lanes depth = positive(t->clearance[v] + t->offset[v] - dot(n, x)), k = 3 * s->contact_stiffness * depth;
-    const hg_lanes c[3] = { n.x, n.y, n.z };
-    for (int r = 0; r < 3; r++)
-        for (int w = 0; w <= r; w++) b->own[3 + r][3 + w] += 2 * k * c[r] * c[w];
+    add_outer(b, 3, 2 * k, n);
     add_force(b, 3, times(n, k * depth));
 }
 
@@ -277,21 +286,25 @@ INSIDE void add_bend(const hg_xpbd *s, const hg_xpbd_tile *t, int64_t i, block *
     quat r = product(conjugate(p), q);
     r = qtimes(r, choose(qdot(r, r0) < 0, -one, one));
     const quat strain = qminus(r, r0);
-    const vec im = { strain.x, strain.y, strain.z }, v = { r.x, r.y, r.z };
+    const vec im = { strain.x, strain.y, s->twist * strain.z }, v = { r.x, r.y, r.z };
     vec turn = plus(times(im, r.w), cross(v, im));
     if (s->smooth) turn = minus(turn, times(v, strain.w));
     turn = rotated(p, times(turn, -0.5 * k));
-    const vec axis = rotated(p, v);
+    const vec axis = rotated(p, v), about = rotated(p, (vec){ r.y, -r.x, r.w }); /* how twist changes with the turn */
     const hg_lanes sigma = s->smooth ? one - one : one, quarter = 0.25 * k;
+    const hg_lanes twist = (s->twist - 1) * quarter;
     add_projection(b, 0, quarter, sigma, axis);
+    add_outer(b, 0, twist, about);
     add_force(b, 0, turn);
     if (!before) return;
     add_projection(before, 0, quarter, sigma, axis);
+    add_outer(before, 0, twist, about);
     add_force(before, 0, times(turn, -one));
-    const hg_lanes c[3] = { axis.x, axis.y, axis.z };
+    const hg_lanes c[3] = { axis.x, axis.y, axis.z }, a[3] = { about.x, about.y, about.z };
     for (int row = 0; row < 3; row++)
         for (int col = 0; col < 3; col++)
-            b->across[row][col] -= (row == col ? quarter : one - one) - quarter * sigma * c[row] * c[col];
+            b->across[row][col] -=
+                (row == col ? quarter : one - one) - quarter * sigma * c[row] * c[col] + twist * a[row] * a[col];
 }
 
 /* own = L L^T; force = L^-1 force */
@@ -337,7 +350,8 @@ INSIDE hg_lanes energy_of(const hg_xpbd *s, const hg_xpbd_tile *t, hg_lanes over
         quat bend = qminus(qtimes(r, choose(qdot(r, r0) < 0, -one, one)), r0);
         if (!s->smooth) bend.w = one - one;
         sum += 0.5 * over_h2 * (dot(way, way) / t->weight[v] + dot(turn, turn) / t->q_weight[i]);
-        sum += 0.5 * (t->shear[i] * dot(shear, shear) + t->bend[i] * qdot(bend, bend));
+        sum += 0.5 *
+               (t->shear[i] * dot(shear, shear) + t->bend[i] * (qdot(bend, bend) + (s->twist - 1) * bend.z * bend.z));
         if (s->contact) {
             const hg_lanes depth = positive(t->clearance[v] + t->offset[v] - dot(load(t->normal + 3 * v), x));
             sum += s->contact_stiffness * depth * depth * depth;

@@ -202,6 +202,32 @@ static void test_way_to_the_minimum(void **state)
     drop(&s);
 }
 
+/* Curled hair that cannot untwist is that of `bend_twist_chain`: the same place as L-BFGS finds for its points alone. */
+static void test_curled_minimum(void **state)
+{
+    (void)state;
+    static const char *const strains[][3] = { { "published", "free" }, { "smooth", "free" } };
+    for (int kind = 0; kind < 2; kind++) {
+        double rest[N], numbers[5], minimum, at[N];
+        hg_term terms[3];
+        scene s;
+        curled(rest);
+        chain_terms(terms, numbers, 2, 1e-8, "bend_twist_chain", strains[kind]);
+        make(&s, 2, rest, S);
+        const double first = energy_of(&s, terms, 3, &minimum, at);
+        assert_int_equal(rest_of(&s, terms, 3, &(hg_xpbd_options){ .pinned = 2, .movement = 1e-11 }, NULL).at_rest, S);
+        const double gap = (energy_of(&s, terms, 3, NULL, NULL) - minimum) / (first - minimum);
+        assert_true(gap > 0 && gap < 0.01);
+        double moved = 0, off = 0;
+        for (int k = 0; k < N; k++) {
+            moved = fmax(moved, fabs(at[k] - rest[k]));
+            off = fmax(off, fabs(((double *)s.x->data)[k] - at[k]));
+        }
+        assert_true(moved > 3e-3 && off < 5e-5);
+        drop(&s);
+    }
+}
+
 /* Without weight a curled groom goes back to where it was made, from a place that has little to do with it. */
 static void test_returns(void **state)
 {
@@ -646,6 +672,7 @@ int main(void)
         cmocka_unit_test(test_hanging_chain),
         cmocka_unit_test(test_cantilever),
         cmocka_unit_test(test_way_to_the_minimum),
+        cmocka_unit_test(test_curled_minimum),
         cmocka_unit_test(test_returns),
         cmocka_unit_test(test_style),
         cmocka_unit_test(test_pendulum),
