@@ -1,6 +1,7 @@
 /* drape --pairs: many pairs of a groom and a pose, listed in a file or drawn. Each groom has a file whose steps are its pairs. */
 #include "cli/shape.h"
 
+#include <math.h>
 #include <stdlib.h>
 #include <string.h>
 
@@ -104,6 +105,9 @@ static hg_status read_pair(pairs *p, const char *path, int64_t number, char *lin
     double *shape = p->shapes[p->n];
     hg_status status = hg_hair_find_groom(p->task, field[0], &pair->groom);
     if (status == HG_OK) status = find_motion(p, field[1], &pair->motion);
+    const double rate = hg_hair_rate(p->task); /* frames of another rate are counted when they are made */
+    if (status == HG_OK && fabs(pair->motion->rate - rate) <= 1e-6 * rate && frame >= pair->motion->frames)
+        status = hg_fail(HG_INVALID, "frame %lld of a motion of %lld", frame, (long long)pair->motion->frames);
     if (status == HG_OK && n == 4) status = cli_shape_text(field[3], hg_hair_body(p->task), shape);
     if (status != HG_OK) {
         char *why = hg_strdup(hg_message());
