@@ -118,7 +118,7 @@ static void say_converged(const hg_against *mean, int k, bool moving)
 {
     const hg_against_part *part = moving ? &mean->side[k].motion : &mean->side[k].rest;
     if (!part->solves) return;
-    printf("%s, %s: %lld of %lld strands at their minimum, %lld in or beside a kink of the energy", mean->side[k].name,
+    printf("%s, %s: %lld of %lld strands at their minimum, %lld that sink no more", mean->side[k].name,
            moving ? "in motion" : "at rest", (long long)part->converged, (long long)part->solves,
            (long long)part->stalled);
     const long long neither = (long long)(part->solves - part->converged - part->stalled);

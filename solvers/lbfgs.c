@@ -215,12 +215,14 @@ static bool definite(const hg_minimiser *m, const hg_problem *p)
 /* With new Hessians: who is done, who goes on. */
 static hg_status restart(hg_minimiser *m, int64_t *running)
 {
+    const int patience = m->options.enough > 0 ? 1 : m->group > 1 ? 8 : 2;
     HG_TRY(hg_strand_hessians(m));
     for (hg_problem *p = m->problem; p < m->problem + m->problems; p++) {
         if (p->state >= HG_PROBLEM_DONE) continue;
         p->state = m->restarts && !p->advanced ? HG_PROBLEM_STUCK : HG_PROBLEM_RUNS;
         if (!m->restarts) p->first_energy = p->energy;
-        const bool little = p->restart_energy - p->energy < 1e-8 * (p->first_energy - p->energy);
+        const double least = m->options.enough > 0 ? m->options.enough : 1e-8;
+        const bool little = p->restart_energy - p->energy < least * (p->first_energy - p->energy);
         p->stalls = m->restarts && little ? p->stalls + 1 : 0;
         p->restart_energy = p->energy;
         p->accepted = true;
@@ -235,7 +237,7 @@ static hg_status restart(hg_minimiser *m, int64_t *running)
         const int64_t first = (p - m->problem) * m->group;
         for (int64_t i = first; i < first + m->group; i++) m->result[i].movement = m->part[i * PARTS + 1];
         if (!(p->far < m->options.movement) && p->slope < 0) {
-            if (p->stalls >= (m->group > 1 ? 8 : 2)) p->state = HG_PROBLEM_STUCK;
+            if (p->stalls >= patience) p->state = HG_PROBLEM_STUCK;
             continue;
         }
         if (m->group > 1 || definite(m, p)) {

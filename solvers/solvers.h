@@ -34,6 +34,7 @@ typedef struct {
     int pinned;                          /* first vertices of a strand that stay where x has them; 0: 1 */
     int64_t evaluations;                 /* at most so many of the energy, for all strands together; 0: 6000 (Adam: 2000) */
     double movement;                     /* m: a minimum is where a full Newton step is shorter; 0: 1e-8 */
+    double enough;                       /* L-BFGS: leave what new Hessians bring less than this part of its descent; 0: 1e-8, two in a row, eight of a frame */
     double rate;                         /* Adam: a first step [m], which comes down to 0 as a cosine; 0: 2e-5 */
     bool (*stop)(void *); void *stop_self; /* asked once an iteration; true: what was reached is left in x, and interrupted is set */
 } hg_minimise_options;

@@ -20,6 +20,8 @@ typedef struct {
     hg_hair_numbers numbers;
     hg_physics *physics[2]; /* at rest, moving */
     hg_minimiser *minimiser[2];
+    hg_physics *alone[2]; /* without what strands do to each other, where they do: the start of the others */
+    hg_minimiser *minimiser_alone[2];
     hg_xpbd *xpbd;                            /* in their place */
     int n_terms[2], column[2][HG_HAIR_TERMS]; /* terms of the config */
 
@@ -52,6 +54,8 @@ static void solving_free(solving *s)
     for (int k = 0; k < 2; k++) {
         hg_minimiser_destroy(s->minimiser[k]);
         hg_physics_destroy(s->physics[k]);
+        hg_minimiser_destroy(s->minimiser_alone[k]);
+        hg_physics_destroy(s->alone[k]);
         hg_free(s->triangle[k]);
     }
     hg_xpbd_destroy(s->xpbd);
@@ -111,6 +115,18 @@ static hg_status make_xpbd(solving *s)
     return HG_OK;
 }
 
+/* Strands by themselves are solved in a tenth of the evaluations of a frame that is one problem, and end near its minimum. */
+static hg_status make_alone(solving *s, int moving, const hg_term *term, int n, const hg_minimise_options *options)
+{
+    hg_term own[HG_HAIR_TERMS];
+    int n_own = 0;
+    for (int i = 0; i < n; i++)
+        if (term[i].energy->site.kind == HG_SITE_WINDOW) own[n_own++] = term[i];
+    if (n_own == 0 || n_own == n) return HG_OK;
+    HG_TRY(hg_physics_create(&s->alone[moving], s->ctx, HG_F64, own, n_own, &s->numbers.data));
+    return hg_minimiser_create(&s->minimiser_alone[moving], s->ctx, s->alone[moving], 1, s->S, s->V, options);
+}
+
 static hg_status take_energies(solving *s)
 {
     for (int moving = 0; moving < 1 + s->options->dynamic; moving++) {
@@ -128,6 +144,7 @@ static hg_status take_energies(solving *s)
         HG_TRY(hg_physics_create(&s->physics[moving], s->ctx, HG_F64, term, n, &s->numbers.data));
         if (s->options->minimise.method != HG_XPBD)
             HG_TRY(hg_minimiser_create(&s->minimiser[moving], s->ctx, s->physics[moving], 1, s->S, s->V, &options));
+        if (s->options->minimise.method == HG_LBFGS) HG_TRY(make_alone(s, moving, term, n, &options));
     }
     return s->options->minimise.method == HG_XPBD ? make_xpbd(s) : HG_OK;
 }
@@ -286,6 +303,12 @@ static hg_status by_energy(solving *s, int moving, const hg_frame *frame)
 {
     hg_solution found;
     hg_hair_solution *all = s->solution;
+    if (s->minimiser_alone[moving]) {
+        HG_TRY(hg_minimise(s->minimiser_alone[moving], frame, s->x, &found));
+        all->evaluations += found.evaluations;
+        all->interrupted = found.interrupted;
+        if (found.interrupted) return HG_OK;
+    }
     HG_TRY(hg_minimise(s->minimiser[moving], frame, s->x, &found));
     all->interrupted = found.interrupted;
     all->solves += found.strands;
