@@ -63,7 +63,7 @@ hg_status hg_hair_set_material(hg_hair_task *task, const char *name, double valu
 
 typedef struct { const char *name; int first, count; double mean, deviation; } hg_feature; /* of the concatenated input, in order */
 int hg_hair_features(const hg_hair_task *task, const hg_feature **features);      /* count; strand features first */
-int hg_hair_strand_inputs(const hg_hair_task *task);                              /* how many input columns are a strand's, the first ones */
+int hg_hair_strand_inputs(const hg_hair_task *task);                              /* how many input columns, the first ones, stay the same over frames: a strand's, or its groom's */
 /* Raw features (not normalised) of a strand subset and of one frame. With `model.output: directions` the last of a
  * strand's is "rest": its vertices 1.. relative to the root, [(V-1)*3]: what the turned edges start from. */
 hg_status hg_hair_strand_features(hg_hair_task *task, hg_ctx *ctx, const int32_t *strand, int64_t n, float *out /* [n,strand_inputs] */);
