@@ -1,6 +1,6 @@
 """Which lines of the kernels the tests reach on the emulated GPU: python3 tests/kernel_coverage.py BUILD [TEST...]
 
-Runs the tests of the suite "cuda" with kernels compiled for counting, and asks gcov. A line that no test reaches fails, unless
+Runs the tests of the suite "cuda" with kernels compiled for counting, in forward order, and asks gcov. A line that no test reaches fails, unless
 kernel_coverage.txt says why it cannot be: a line each, "file: text of the line -> why". What is explained but reached fails too."""
 import concurrent.futures
 import json
@@ -32,13 +32,16 @@ def run_tests(build, folder, only):
         done = subprocess.run(test["cmd"], env=words, cwd=build, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace")
         return test["name"], done.returncode, done.stdout
 
+    passed = 0
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         for name, status, said in pool.map(run, tests):
+            passed += len(re.findall(r"^\[       OK \]", said, re.M))
             if status not in (0, 77):
                 print(said[-3000:])
                 fail("%s failed" % name)
             if status == 77:
                 fail("%s was skipped: %s" % (name, said.strip()[-200:]))
+    return passed
 
 
 def lines_of(folder):
@@ -82,7 +85,7 @@ def main():
     folder = os.path.join(build, "kernel-coverage")
     shutil.rmtree(folder, ignore_errors=True)
     os.makedirs(folder)
-    run_tests(build, folder, only)
+    passed = run_tests(build, folder, only)
     reached, said, used = lines_of(folder), explanations(), set()
     missing, all_lines, all_reached = [], 0, 0
     for path in sorted(reached):
@@ -117,6 +120,7 @@ def main():
         print("explained, but it is reached or gone: " + line)
     if missing or stale:
         sys.exit(1)
+    print("tests with counted kernels: %d passed" % passed)
 
 
 main()
