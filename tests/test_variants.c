@@ -405,7 +405,7 @@ static void gradients_are_right(void **state)
                 OK(hg_tensor_read(w, kept));
                 for (int64_t j = 0; j < n; j++) norm += (double)part[j] * (double)part[j];
                 norm = sqrt(norm);
-                for (double step = 3e-2; step > 5e-4; step *= 0.3) {
+                for (double step = 1e-2; step > 5e-4 && best > 2e-3 * norm; step *= 0.3) {
                     for (int side = 0; side < 2; side++) {
                         hg_tensor *unweighted, *at;
                         for (int64_t j = 0; j < n; j++)
