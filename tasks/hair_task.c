@@ -432,9 +432,13 @@ static hg_status check_runs(const hg_hair_task *task)
                                hg_config_name(config), hg_config_line(config, key), key, N, (long long)motion->frames,
                                motion->name ? motion->name : "");
         }
-    if (task->asks.deformation && N == 1 && !task->opened)
-        return hg_fail(HG_INVALID, "%s:%d: %s: %s compares frames that follow each other, and is zero with runs of 1",
-                       hg_config_name(config), hg_config_line(config, key), key, task->asks.deformation);
+    if (task->asks.deformation && N == 1 && !task->opened) {
+        char losses[160];
+        snprintf(losses, sizeof losses, "losses.%s", task->asks.deformation);
+        return hg_fail(HG_INVALID,
+                       "%s:%d: %s compares frames that follow each other, and is zero with runs of 1; %s: 2 or more",
+                       hg_config_name(config), hg_config_line(config, losses), losses, key);
+    }
     return HG_OK;
 }
 

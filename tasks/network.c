@@ -32,10 +32,14 @@ static hg_status make_output(hg_hair_task *task)
     const int64_t moved = (V - task->pinned) * 3;
     task->orientations = !strcmp(hg_config_text(config, "model.orientations"), "yes");
     task->orientation_scale = hg_config_number(config, "model.orientation_scale");
-    if (task->asks.q && !task->orientations)
+    if (task->asks.q && !task->orientations) {
+        char losses[160];
+        snprintf(losses, sizeof losses, "losses.%s", task->asks.q);
         return hg_fail(HG_INVALID,
-                       "%s:%d: model.orientations: %s asks for the orientations of edges, and this network has none",
-                       hg_config_name(config), hg_config_line(config, "model.orientations"), task->asks.q);
+                       "%s:%d: %s asks for the orientations of edges, and this network has none: "
+                       "model.orientations is no",
+                       hg_config_name(config), hg_config_line(config, losses), losses);
+    }
     task->outputs = (int)(V - task->pinned) * (task->orientations ? 7 : 3);
     task->directions = !strcmp(output, "directions");
     task->output_scale = hg_config_number(config, task->directions ? "model.turn_scale" : "model.output_scale");
