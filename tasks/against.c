@@ -81,7 +81,8 @@ static double now(void)
 static void pass_on(void *self, double fraction, const char *text)
 {
     const comparison *c = self;
-    hg_progress_report(c->progress, c->done + c->share * fraction, "%s", text);
+    hg_progress_report(c->progress, c->done + c->share * fraction, "%s: %s",
+                       c->motion->name ? c->motion->name : "motion", text);
 }
 
 static void under_way(comparison *c, double share)

@@ -115,7 +115,7 @@ static hg_status make_xpbd(solving *s)
     return HG_OK;
 }
 
-/* Strands by themselves are solved in a tenth of the evaluations of a frame that is one problem, and end near its minimum. */
+/* Strands by themselves cost little, each with its own steps and end, and are near the minimum of the frame, which is one problem. */
 static hg_status make_alone(solving *s, int moving, const hg_term *term, int n, const hg_minimise_options *options)
 {
     hg_term own[HG_HAIR_TERMS];
