@@ -64,7 +64,7 @@ losses() {
             if (value != "" && key != "learn") { name = "losses"; for (i = 1; i <= depth; i++) name = name "." part[i]; sub(/ .*/, "", value); print name "=" value } }' "$1/config.yaml"
 }
 # The value of a number in the mean of a metrics file.
-value() { sed -n '/"mean"/,$p' "$1" | sed -n "s/.*\"$2\": \([-0-9.e+]*\).*/\1/p" | head -n 1; }
+value() { sed -n '/"mean"/,$p' "$1" | sed -n "s/.*\"$2\": \([-0-9.e+a-z]*\).*/\1/p" | sed 's/null/nan/' | head -n 1; }
 
 train() { # VARIANT SEED RUN
     [ -f "$3/report.json" ] && return 0
