@@ -395,10 +395,11 @@ static void place_lane(const placing *p, const hg_xpbd_tile *t, int lane, int64_
     const hg_quatd turn = root_turn(p->frame, strand);
     hg_vec3d before = { 0, 0, 0 };
     for (int64_t v = 0; v < s->V; v++) {
-        const hg_vec3d posed = posed_at(s, p->frame, strand, v, turn);
-        const double *x = p->x ? p->x + (strand * s->V + v) * 3 : &posed.x;
+        double posed[3];
+        hg_vec3d_store(posed, posed_at(s, p->frame, strand, v, turn));
+        const double *x = p->x ? p->x + (strand * s->V + v) * 3 : posed;
         for (int c = 0; c < 3; c++) {
-            t->posed[3 * v + c][lane] = (&posed.x)[c];
+            t->posed[3 * v + c][lane] = posed[c];
             t->pin[3 * v + c][lane] = p->x ? x[c] : t->pin_to[3 * v + c][lane];
             t->pin_to[3 * v + c][lane] = x[c];
             if (p->x) t->x[3 * v + c][lane] = x[c], t->velocity[3 * v + c][lane] = 0;

@@ -1,5 +1,6 @@
 /* xpbd_contact: what strands meet between substeps. The body as planes of contact; each other, pushed apart by half each
- * (Jacobi: every vertex is moved by the mean of what its neighbours ask for, all from the places before). */
+ * (Jacobi: every vertex is moved by the mean of what its neighbours ask for, all from the places before). Vertices meet vertices: strands
+ * may still slip between each other. */
 #include "solvers/xpbd.h"
 
 #include <math.h>

@@ -155,9 +155,9 @@ INSIDE void predict(const hg_xpbd *s, const hg_xpbd_tile *t, double part, double
             store(t->x + 3 * v, part < 1 ? plus(from, times(minus(to, from), to.x - to.x + part)) : to);
             continue;
         }
-        vec way = { x.x - x.x, x.x - x.x, x.x - x.x };
-        if (dynamic) way = times(load(t->velocity + 3 * v), x.x - x.x + slowed);
-        for (int c = 0; c < 3; c++) t->x[3 * v + c] += (&way.x)[c] + h2 * s->gravity[c];
+        const vec fall = { h2 * s->gravity[0], h2 * s->gravity[1], h2 * s->gravity[2] };
+        const vec way = dynamic ? times(load(t->velocity + 3 * v), x.x - x.x + slowed) : minus(x, x);
+        store(t->x + 3 * v, plus(x, plus(way, fall)));
     }
     qstore(t->root, turned(qload(t->root_pin), qload(t->root_pin_to), part));
     for (int64_t i = 0; i < s->E; i++) {
@@ -460,8 +460,10 @@ static void find_pace(const hg_xpbd *s, const hg_xpbd_tile *t)
             energy -= g;
             size += choose(g < 0, -g, g);
         }
-    const mask high = t->pace[0] > PACE_MOST, low = t->pace[0] < PACE_LEAST;
-    const mask sank = energy <= t->energy[0] + 1e-13 * size, sinks = sank | low, back = ~sinks;
+    const mask high = t->pace[0] > (s->neighbours ? PACE_LEAST : PACE_MOST), low = t->pace[0] < PACE_LEAST;
+    mask sank = energy <= t->energy[0] + 1e-13 * size;
+    if (s->neighbours) sank |= ~sank; /* what was pushed apart does not go back, and not far */
+    const mask sinks = sank | low, back = ~sinks;
     t->pace[0] = choose(sank, choose(high, t->pace[0], 1.5 * t->pace[0]), choose(low, t->pace[0], 0.25 * t->pace[0]));
     keep(t->energy, &energy, 1, sinks);
     keep(t->x, t->good_x, 3 * s->V, back);
