@@ -118,6 +118,11 @@ static void say_converged(const hg_against *mean, int k, bool moving)
 {
     const hg_against_part *part = moving ? &mean->side[k].motion : &mean->side[k].rest;
     if (!part->solves) return;
+    if (!strcmp(mean->side[k].name, "xpbd")) { /* it knows of no minimum, and in motion of no rest */
+        if (!moving)
+            printf("xpbd: %lld of %lld strands came to rest\n", (long long)part->converged, (long long)part->solves);
+        return;
+    }
     printf("%s, %s: %lld of %lld strands at their minimum, %lld that sink no more", mean->side[k].name,
            moving ? "in motion" : "at rest", (long long)part->converged, (long long)part->solves,
            (long long)part->stalled);
