@@ -55,7 +55,7 @@
         }                                                                                                              \
     } break;
 
-void NAME(hg_steps_run)(const hg_steps *steps, REAL *const *base)
+STEPS_ATTRIBUTE void NAME(hg_steps_run)(const hg_steps *steps, REAL *const *base)
 {
     for (const hg_step *step = steps->steps, *end = step + steps->n; step < end; step++) {
         REAL *to = base[step->to] + step->to_at;
