@@ -39,7 +39,8 @@ static void tell_network(hg_hair_task *task)
     int rest = 0; /* what turned edges start from is no input of the network */
     for (int i = 0; i < n; i++)
         if (!strcmp(feature[i].name, "rest")) rest = feature[i].count;
-    printf("inputs      %d: %d of a strand or its groom, %d of a frame\n", columns - rest, strand - rest, columns - strand);
+    printf("inputs      %d: %d of a strand or its groom, %d of a frame\n", columns - rest, strand - rest,
+           columns - strand);
     printf("network     %s, %lld weights\n", model->kind, (long long)hg_model_weights(model));
     for (int i = 0; i < model->n_params; i++) {
         char shape[96];
