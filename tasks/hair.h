@@ -129,6 +129,12 @@ typedef struct {
     double value; /* of a drape; at first the config's */
 } hg_hair_material;
 
+/* A parameter that begins at a part of its value and has all of it from step `steps` on. */
+typedef struct {
+    char *name; /* "body_collision.stiffness" */
+    double value, start;
+} hg_hair_ramp;
+
 typedef struct {
     char *name, *report; /* "bend_twist.stiffness"; with "material." before it */
     double start;
@@ -145,7 +151,7 @@ typedef struct {
     int64_t frames, runs, consecutive, rows, strands, body_vertices;
     int32_t *groom;   /* [P] of the subset's; runs of one groom stand together */
     float *inputs;    /* [P,frame_inputs] normalised */
-    double *material; /* [B,materials] */
+    double *material; /* [B,materials + ramps] */
     /* host: */
     float *rotation; /* [P,S,4] */
     float *position; /* [P,S,3] */
@@ -243,6 +249,9 @@ struct hg_hair_task {
     hg_tensor **whole_params;
     hg_hair_material materials[HG_HAIR_MATERIALS];
     hg_hair_learnt learnt[HG_HAIR_MATERIALS];
+    hg_hair_ramp ramps[HG_HAIR_MATERIALS];
+    int n_ramps;
+    double ramp_steps;
     int n_materials, n_learnt;
     hg_tensor *no_turn;    /* [4]: 1, 0, 0, 0, where there are orientations */
     hg_tensor *along;      /* [3]: 0, 0, 1, where they are carried to the strands' own edges; else NULL */
@@ -302,7 +311,9 @@ void hg_hair_draw_shape(const hg_hair_task *task, uint64_t seed, uint64_t counte
 hg_status hg_hair_materials_create(hg_hair_task *task); /* once the terms are there */
 void hg_hair_materials_destroy(hg_hair_task *task);
 hg_status hg_hair_whole_model(hg_hair_task *task);
-void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, double *values);
+/* step: of the training, for what rises; negative: it has risen. values [materials + ramps], at most HG_HAIR_GIVEN. */
+enum { HG_HAIR_GIVEN = 2 * HG_HAIR_MATERIALS };
+void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, int64_t step, double *values);
 /* Fills the last raw columns of a frame; values NULL: those of a drape. */
 void hg_hair_material_features(const hg_hair_task *task, const double *values, float *frame);
 void hg_hair_report_learnt(const hg_hair_task *task, hg_ctx *ctx,

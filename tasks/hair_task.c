@@ -193,10 +193,10 @@ static hg_status validate(void *self, hg_ctx *ctx, hg_model *model, hg_report *r
         int clip = 0;
         while (frame >= task->clips[held_out][clip].motion->frames - (N - 1))
             frame -= task->clips[held_out][clip++].motion->frames - (N - 1);
-        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS], material[HG_HAIR_MATERIALS];
+        double shape[HG_SHAPES], unweighted[HG_HAIR_TERMS], material[HG_HAIR_GIVEN];
         hg_tensor *joule;
         hg_hair_held_out_shape(task, k, shape);
-        hg_hair_draw_materials(task, task->seed + 0x5eed, (uint64_t)k, material);
+        hg_hair_draw_materials(task, task->seed + 0x5eed, (uint64_t)k, -1, material);
         hg_step_reset(ctx);
         status = hg_hair_batch_fill(task, ctx, batch, &task->subset, 0, (int32_t)(k % task->n_grooms),
                                     &task->clips[held_out][clip], frame, shape, material);
@@ -459,7 +459,8 @@ static hg_status look_back(hg_hair_task *task)
 static hg_status first_call(hg_hair_task *task)
 {
     const hg_hair_asks *asks = &task->asks;
-    if (task->opened || !(task->n_materials + task->n_learnt || asks->ghost || asks->deformation || asks->q))
+    if (task->opened ||
+        !(task->n_materials + task->n_ramps + task->n_learnt || asks->ghost || asks->deformation || asks->q))
         return HG_OK;
     void *batch = hg_alloc(1, task->batch_bytes);
     if (!batch) return HG_MEMORY;

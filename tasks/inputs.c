@@ -99,17 +99,24 @@ static hg_status add(hg_ctx *ctx, hg_frame_input *inputs, int *n, const char *na
     return value ? HG_OK : hg_ctx_status(ctx);
 }
 
-/* values [B,n_materials], NULL: those of a drape. */
+/* values [B,n_materials + n_ramps], NULL: those of a drape. */
 static hg_status add_materials(const hg_hair_task *task, hg_ctx *ctx, const double *values, int64_t B, int64_t S,
                                hg_frame_input *inputs, int *n)
 {
+    const int given = task->n_materials + task->n_ramps;
     for (int i = 0; i < task->n_materials; i++) {
         float *out = hg_step_alloc(ctx, (size_t)(B * S) * sizeof *out);
         if (!out) return hg_ctx_status(ctx);
         for (int64_t b = 0; b < B; b++)
             for (int64_t s = 0; s < S; s++)
-                out[b * S + s] = (float)(values ? values[b * task->n_materials + i] : task->materials[i].value);
+                out[b * S + s] = (float)(values ? values[b * given + i] : task->materials[i].value);
         HG_TRY(add(ctx, inputs, n, task->materials[i].name, hg_tensor_from(ctx, HG_F32, 2, (int64_t[]){ B, S }, out)));
+    }
+    for (int i = 0; values && i < task->n_ramps; i++) { /* one number: that of the step */
+        float *out = hg_step_alloc(ctx, sizeof *out);
+        if (!out) return hg_ctx_status(ctx);
+        *out = (float)values[task->n_materials + i];
+        HG_TRY(add(ctx, inputs, n, task->ramps[i].name, hg_tensor_from(ctx, HG_F32, 0, NULL, out)));
     }
     for (int i = 0; i < task->n_learnt; i++)
         HG_TRY(add(ctx, inputs, n, task->learnt[i].name,
@@ -121,7 +128,7 @@ hg_status hg_hair_physics_inputs(const hg_hair_task *task, hg_ctx *ctx, const hg
                                  const double *materials, const hg_hair_strands *strands, hg_frame *frame)
 {
     const hg_hair_asks *asks = &task->asks;
-    const int most = task->n_materials + task->n_learnt + 4;
+    const int most = task->n_materials + task->n_ramps + task->n_learnt + 4;
     hg_frame_input *inputs = hg_step_alloc(ctx, (size_t)most * sizeof *inputs);
     int n = 0;
     if (!inputs) return hg_ctx_status(ctx);

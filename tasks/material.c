@@ -1,7 +1,11 @@
 /* material: parameters of energies that are not one number of the config. An input of the network: drawn for every frame of
  * a step, log-uniform in its range, and told to the network as its decimal logarithm; a drape says which value it has.
  * Learnt: value exp(theta), which stays positive, with theta a parameter like the network's own. The energy that a training
- * minimises is smallest without any stiffness: a parameter is learnt where something holds against it. */
+ * minimises is smallest without any stiffness: a parameter is learnt where something holds against it.
+ *
+ * Rising (`ramp`): the stiffness of an energy starts at a part of its value and rises by the same factor in every step. Contact is
+ * ten thousand times as stiff as the weight of a hair: learnt at once, it lifts all hair off the body, and from there hair sinks
+ * slowly. */
 #include "tasks/hair.h"
 
 #include <math.h>
@@ -61,6 +65,33 @@ static hg_status add_learnt(hg_hair_task *task, const char *key, int term, int p
     return hg_require_grad(l->theta);
 }
 
+static hg_status add_ramps(hg_hair_task *task)
+{
+    const hg_config *config = task->config;
+    char key[192];
+    task->ramp_steps = hg_config_number(config, "training.ramp") * (double)hg_config_integer(config, "training.steps");
+    for (int t = 0; t < task->terms.n; t++) {
+        const hg_energy *energy = task->terms.term[t].energy;
+        snprintf(key, sizeof key, "losses.%s.ramp", energy->name);
+        int k = 0;
+        while (k < HG_ENERGY_PARAMS && energy->params[k].name && strcmp(energy->params[k].name, "stiffness")) k++;
+        if (k == HG_ENERGY_PARAMS || !energy->params[k].name || hg_config_number(config, key) == 1) continue;
+        if (!(hg_config_number(config, key) > 0)) return refuse(config, key, "a part of the stiffness, above 0");
+        if (task->n_ramps == HG_HAIR_MATERIALS) return refuse(config, key, "too many stiffnesses rise at once");
+        hg_hair_ramp *r = &task->ramps[task->n_ramps++];
+        *r = (hg_hair_ramp){ .name = hg_format("%s.stiffness", energy->name),
+                             .value = task->terms.params[t][k],
+                             .start = hg_config_number(config, key) };
+        if (!r->name) return HG_MEMORY;
+        for (int i = 0; i < task->n_materials; i++)
+            if (!strcmp(task->materials[i].name, r->name))
+                return refuse(config, key, "its stiffness is an input of the network already");
+        for (int i = 0; i < task->n_learnt; i++)
+            if (!strcmp(task->learnt[i].name, r->name)) return refuse(config, key, "its stiffness is learnt already");
+    }
+    return HG_OK;
+}
+
 hg_status hg_hair_materials_create(hg_hair_task *task)
 {
     const hg_config *config = task->config;
@@ -97,12 +128,13 @@ hg_status hg_hair_materials_create(hg_hair_task *task)
         }
     }
     task->layout.materials = task->n_materials;
-    return HG_OK;
+    return add_ramps(task);
 }
 
 void hg_hair_materials_destroy(hg_hair_task *task)
 {
     for (int i = 0; i < task->n_materials; i++) hg_free(task->materials[i].name);
+    for (int i = 0; i < task->n_ramps; i++) hg_free(task->ramps[i].name);
     for (int i = 0; i < task->n_learnt; i++) {
         hg_tensor_destroy(task->learnt[i].theta);
         hg_free(task->learnt[i].name);
@@ -128,8 +160,13 @@ hg_status hg_hair_whole_model(hg_hair_task *task)
 
 /* ---- values -------------------------------------------------------------------------------------------------- */
 
-void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, double *values)
+void hg_hair_draw_materials(const hg_hair_task *task, uint64_t seed, uint64_t counter, int64_t step, double *values)
 {
+    for (int i = 0; i < task->n_ramps; i++) {
+        const hg_hair_ramp *r = &task->ramps[i];
+        const double risen = step < 0 || !((double)step < task->ramp_steps) ? 1 : (double)step / task->ramp_steps;
+        values[task->n_materials + i] = r->value * pow(r->start, 1 - risen);
+    }
     for (int i = 0; i < task->n_materials; i++) {
         const hg_hair_material *m = &task->materials[i];
         const double along = hg_random_uniform(seed, STREAM_MATERIAL + (uint64_t)i, counter);

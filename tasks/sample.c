@@ -31,7 +31,7 @@ size_t hg_hair_batch_bytes(const hg_hair_task *task, int64_t frames, int64_t str
 {
     int64_t floats[PARTS];
     size_t bytes = sizeof(hg_hair_batch) + 64 + (size_t)hg_hair_batch_rows(task, frames) * sizeof(int32_t) +
-                   (size_t)(frames * task->n_materials) * sizeof(double) + 2 * 64;
+                   (size_t)(frames * (task->n_materials + task->n_ramps)) * sizeof(double) + 2 * 64;
     measure(task, frames, strands, floats);
     for (int i = 0; i < PARTS; i++) bytes += (size_t)floats[i] * sizeof(float) + 64;
     return bytes;
@@ -65,7 +65,7 @@ hg_hair_batch *hg_hair_batch_lay_out(const hg_hair_task *task, void *bytes, int6
                               .shape = part[SHAPE],
                               .transform = part[TRANSFORM] };
     batch->groom = (int32_t *)(void *)take(&at, batch->rows);
-    batch->material = (double *)(void *)take(&at, 2 * frames * task->n_materials);
+    batch->material = (double *)(void *)take(&at, 2 * frames * (task->n_materials + task->n_ramps));
     return batch;
 }
 
@@ -95,9 +95,9 @@ hg_status hg_hair_batch_fill(hg_hair_task *task, hg_ctx *ctx, hg_hair_batch *bat
                              int64_t run, int32_t groom, const hg_hair_clip_data *clip, int64_t frame,
                              const double shape[HG_SHAPES], const double *material)
 {
-    const int64_t N = batch->consecutive;
+    const int64_t N = batch->consecutive, given = task->n_materials + task->n_ramps;
     for (int64_t b = run * N; b < (run + 1) * N; b++)
-        for (int i = 0; i < task->n_materials; i++) batch->material[b * task->n_materials + i] = material[i];
+        for (int i = 0; i < given; i++) batch->material[b * given + i] = material[i];
     for (int64_t time = 0; time < N + 2; time++) {
         const int64_t at = frame - 2 + time,
                       row = time < 2 ? time * batch->runs + run : 2 * batch->runs + run * N + time - 2;
@@ -158,9 +158,9 @@ hg_status hg_hair_sample(void *self, hg_ctx *ctx, uint64_t seed, uint64_t step, 
         int64_t frame = (int64_t)hg_random_below(key, STREAM_FRAME, counter, (uint64_t)starts);
         int clip = 0;
         while (frame >= task->clips[0][clip].motion->frames - cut) frame -= task->clips[0][clip++].motion->frames - cut;
-        double shape[HG_SHAPES], material[HG_HAIR_MATERIALS];
+        double shape[HG_SHAPES], material[HG_HAIR_GIVEN];
         hg_hair_draw_shape(task, key, counter, shape);
-        hg_hair_draw_materials(task, key, counter, material);
+        hg_hair_draw_materials(task, key, counter, (int64_t)step, material);
         HG_TRY(hg_hair_batch_fill(task, ctx, batch, &task->subset, r, groom[r], &task->clips[0][clip], frame, shape,
                                   material));
     }

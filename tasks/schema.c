@@ -109,6 +109,8 @@ static const hg_config_row rows[] = {
     { "training.clip", HG_NUMBER, "1", "1", NULL, 0, 1e9, "largest gradient norm; 0: no limit" },
     { "training.clip_vertex", HG_NUMBER, "0", "1", NULL, 0, 1e9,
       "largest force on a vertex that is learnt from, in weights of the mean vertex; 0: no limit" },
+    { "training.ramp", HG_NUMBER, "0.5", "1", NULL, 0, 1,
+      "part of the steps in which a stiffness with a `ramp` rises to its value" },
     { "training.beta1", HG_NUMBER, "0.9", "1", NULL, 0, 1, "of Adam" },
     { "training.beta2", HG_NUMBER, "0.999", "1", NULL, 0, 1, "of Adam" },
     { "training.epsilon", HG_NUMBER, "1e-8", "1", NULL, 0, 1, "of Adam" },
@@ -173,6 +175,14 @@ static int energy_rows(const hg_energy *energy, hg_config_row *out)
                                 .value = "0",
                                 .unit = "1",
                                 .help = "times the energy; 1 when its section is written without it" };
+    for (int i = 0; i < HG_ENERGY_PARAMS && energy->params[i].name; i++)
+        if (!strcmp(energy->params[i].name, "stiffness"))
+            out[n++] = (hg_config_row){ .key = hg_format("losses.%s.ramp", energy->name),
+                                        .type = HG_NUMBER,
+                                        .value = "1",
+                                        .unit = "1",
+                                        .help = "times its stiffness in the first step, from where it rises over "
+                                                "`training.ramp` of the training; in training alone" };
     if (energy->params[0].name)
         out[n++] = (hg_config_row){ .key = hg_format("losses.%s.learn", energy->name),
                                     .type = HG_TEXTS,
@@ -202,7 +212,7 @@ static schema *schema_make(void)
     const hg_energy *energies[ENERGIES];
     const int n_energies = hg_hair_energies(energies);
     const int fixed = (int)(sizeof rows / sizeof *rows);
-    const int most = fixed + n_energies * (4 + 2 * HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
+    const int most = fixed + n_energies * (5 + 2 * HG_ENERGY_PARAMS + HG_ENERGY_OPTIONS);
     schema *made = hg_alloc(1, sizeof *made);
     if (!made) return NULL;
     made->rows = hg_alloc((size_t)most, sizeof *made->rows);
