@@ -10,7 +10,6 @@
 #include <math.h>
 #include <string.h>
 
-#pragma GCC diagnostic ignored "-Wpsabi"                    /* nothing that is passed in vectors leaves this file */
 static const double PACE_MOST = 1e4, PACE_LEAST = 1.0 / 50; /* of h^2 */
 
 #define INSIDE static inline __attribute__((always_inline))

@@ -260,6 +260,84 @@ static void a_stiffness_per_strand_is_learnt(void **state)
     hg_ctx_destroy(ctx);
 }
 
+static double loss_of_step(const char *const *set, uint64_t step)
+{
+    trial s = begin(NULL, 1, set);
+    if (s.status != HG_OK) fail_msg("%s", hg_message());
+    const hg_task *task = hg_hair_task_of(s.task);
+    void *batch = calloc(1, task->batch_bytes);
+    hg_report report = { 0 };
+    assert_int_equal(task->sample(task->self, s.ctx, 1, step, batch), HG_OK);
+    hg_tensor *loss = task->loss(task->self, s.ctx, hg_hair_model(s.task), batch, &report);
+    assert_non_null(loss);
+    const double value = hg_tensor_item(loss, 0);
+    free(batch);
+    end(&s);
+    return value;
+}
+
+/* A stiffness with a ramp is that part of it in the first step, its root mean half way, all of it at the end and in validations; a
+ * run that was broken off goes on with what the step has. */
+static void a_stiffness_rises(void **state)
+{
+    (void)state;
+#define SPRING                                                                                                         \
+    "features.materials.bend_twist.stiffness", "[]", "losses.hair_style.weight", "1", "losses.hair_style.s_max", "1 m"
+    static const struct {
+        uint64_t step;
+        const char *stiffness;
+    } same[] = { { 0, "0.001" }, { 10, "0.01" }, { 20, "0.1" }, { 33, "0.1" } };
+    double before = 0;
+    for (int i = 0; i < 4; i++) {
+        const char *const ramped[] = { SPRING, "losses.adhesion.weight",
+                                       "1",    "losses.adhesion.radius",
+                                       "5 cm", "losses.adhesion.stiffness",
+                                       "0.1",  "losses.adhesion.ramp",
+                                       "0.01", "training.ramp",
+                                       "0.5",  "training.steps",
+                                       "40",   "model.pinned",
+                                       "1",    NULL };
+        const char *const plain[] = { SPRING,
+                                      "losses.adhesion.weight",
+                                      "1",
+                                      "losses.adhesion.radius",
+                                      "5 cm",
+                                      "losses.adhesion.stiffness",
+                                      same[i].stiffness,
+                                      "training.steps",
+                                      "40",
+                                      "model.pinned",
+                                      "1",
+                                      NULL };
+        const double a = loss_of_step(ramped, same[i].step), b = loss_of_step(plain, same[i].step);
+        if (!(fabs(a - b) <= 1e-6 * fabs(b))) fail_msg("step %d: %.9g, expected %.9g", (int)same[i].step, a, b);
+        assert_true(i == 0 || i == 3 || fabs(b - before) > 1e-3 * fabs(b)); /* it matters */
+        before = b;
+    }
+    const char *const run[] = { SPRING, "losses.hair_style.ramp",    "1e-3", "training.steps",
+                                "30",   "training.checkpoint_every", "10",   NULL };
+    trial whole = begin("risen", 2, run);
+    const uint64_t expected = train(&whole, false, 0);
+    end(&whole);
+    trial first = begin("risen_parts", 1, run);
+    train(&first, false, 17);
+    end(&first);
+    trial second = begin("risen_parts", 2, run);
+    assert_true(train(&second, true, 0) == expected);
+    end(&second);
+    static const char *const wrong[][4] = { { "losses.bend_twist.ramp", "0", "features.materials.bend_twist.stiffness",
+                                              "[]" },
+                                            { "losses.bend_twist.ramp", "0.1", "training.ramp", "0.5" } };
+    const char *const said[] = { "above 0", "input of the network already" };
+    for (int i = 0; i < 2; i++) {
+        trial s = begin(NULL, 1, (const char *const[]){ wrong[i][0], wrong[i][1], wrong[i][2], wrong[i][3], NULL });
+        assert_int_equal(s.status, HG_INVALID);
+        if (!strstr(hg_message(), said[i])) fail_msg("%s", hg_message());
+        end(&s);
+    }
+#undef SPRING
+}
+
 static void wrong_materials_are_refused(void **state)
 {
     (void)state;
@@ -321,6 +399,7 @@ int main(void)
         cmocka_unit_test(one_network_for_a_range),
         cmocka_unit_test(drawn_materials_resume_to_the_bit),
         cmocka_unit_test(a_parameter_is_learnt),
+        cmocka_unit_test(a_stiffness_rises),
         cmocka_unit_test(wrong_materials_are_refused),
         cmocka_unit_test(bf16_compute),
         cmocka_unit_test(a_stiffness_per_strand_is_learnt),

@@ -138,7 +138,7 @@ static void compare_arrays(const hg_op *op, const hg_sample *sample, const char 
     double largest = 0;
     for (int64_t i = 0; a->data && i < a->count; i++) largest = fmax(largest, fabs(item(b, i)));
     for (int64_t i = 0; a->data && i < a->count; i++)
-        if (!(fabs(item(a, i) - factor * item(b, i)) <= tolerance * (1e-2 + largest)))
+        if (!(fabs(item(a, i) - factor * item(b, i)) <= tolerance * (2e-2 + largest)))
             fail_msg("%s (%s), %s: element %lld is %.9g, expected %.9g", op->name, sample->label, what, (long long)i,
                      item(a, i), factor * item(b, i));
 }
