@@ -18,7 +18,7 @@
 
 #include <cmocka.h>
 
-static char test_folder_path[512];
+static char test_folder_path[256];
 
 __attribute__((unused)) static const char *test_folder(void) { return test_folder_path; }
 

@@ -1,14 +1,12 @@
 /* tasks: training on several grooms at once; draping one of them, and one that was not trained on. */
 #include "hairgrad.h"
+#include "tests/test.h"
 #include "tasks/hair.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 static const char tiny[] =
     "scene: { strands: 60, vertices: 9, seconds: 2 s, motion_kinds: [nod], held_out_kinds: [turn] }\n"
@@ -17,23 +15,6 @@ static const char tiny[] =
     "losses: { stretch: {}, bend_twist: {}, gravity: {}, inertia: {}, body_collision: {} }\n"
     "training: { strands: 60, frames: 3, steps: 40, warm_up: 4, log_every: 10, validate_every: 20,\n"
     "  validation_frames: 4, checkpoint_every: 20, learning_rate: 2e-3 }\n";
-
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_grooms_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
 
 typedef struct {
     hg_ctx *ctx;
@@ -52,7 +33,7 @@ static trial begin(const char *run, int threads, const char *grooms, const char 
     if (style) assert_int_equal(hg_config_set(config, "scene.style", style), HG_OK);
     assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
     char path[320];
-    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), run ? run : "");
     s.status = hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL);
     hg_config_destroy(config);
     return s;
@@ -153,7 +134,7 @@ static void several_grooms_are_learnt(void **state)
     hg_ctx *ctx = NULL;
     hg_hair_task *opened = NULL;
     char path[320];
-    snprintf(path, sizeof path, "%s/whole", folder);
+    snprintf(path, sizeof path, "%s/whole", test_folder());
     assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), HG_OK);
     if (hg_hair_task_open(&opened, ctx, path, NULL) != HG_OK) fail_msg("%s", hg_message());
     const char *const names[] = { "wavy", "short", "curly", "long", "straight", "short" };
@@ -187,7 +168,7 @@ static void grooms_that_do_not_fit_are_refused(void **state)
     hg_groom *other = NULL;
     char path[320], list[400];
     assert_int_equal(hg_groom_grow(s.ctx, &other, hg_hair_body(s.task), "wavy", 20, 12, 1), HG_OK);
-    snprintf(path, sizeof path, "%s/twelve.h5", folder);
+    snprintf(path, sizeof path, "%s/twelve.h5", test_folder());
     assert_int_equal(hg_groom_save(other, path), HG_OK);
     hg_groom_destroy(other);
     assert_int_equal(hg_hair_choose_groom(s.task, path), HG_INVALID);
@@ -207,5 +188,5 @@ int main(void)
         cmocka_unit_test(several_grooms_are_learnt),
         cmocka_unit_test(grooms_that_do_not_fit_are_refused),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

@@ -1,15 +1,13 @@
 /* A Neuralocks run on a device against the processor: training, evaluation, drape, export; the same bits twice, and no waiting
  * between two lines of the log. */
 #include "hairgrad.h"
+#include "tests/test.h"
 #include "tests/device.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 static const char tiny[] = "scene: { style: wavy, strands: 40, vertices: 8, seconds: 1 s, motion_kinds: [shake], "
                            "held_out_kinds: [turn] }\n"
@@ -26,23 +24,6 @@ static const char tiny[] = "scene: { style: wavy, strands: 40, vertices: 8, seco
                            "validate_every: 50, validation_frames: 2, checkpoint_every: 50 }\n";
 enum { STEPS = 100, EVERY = 20, LOGGED = STEPS / EVERY };
 
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_device_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
-
 #define OK(call_)                                                                                                      \
     do {                                                                                                               \
         if ((call_) != HG_OK) fail_msg("%s", hg_message());                                                            \
@@ -50,7 +31,7 @@ static int remove_folder(void **state)
 
 static void path_of(char path[400], const char *run, const char *file)
 {
-    snprintf(path, 400, "%s/%s%s%s", folder, run, file ? "/" : "", file ? file : "");
+    snprintf(path, 400, "%s/%s%s%s", test_folder(), run, file ? "/" : "", file ? file : "");
 }
 
 static hg_ctx *make_ctx(const char *device)
@@ -309,5 +290,5 @@ int main(void)
         cmocka_unit_test(variants_train_too),
         cmocka_unit_test(is_used_like_on_the_processor),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

@@ -1,13 +1,11 @@
 /* tasks: materials as inputs of the network, and learnt ones. */
 #include "hairgrad.h"
+#include "tests/test.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 static const char conditioned[] =
     "scene: { strands: 80, vertices: 9, seconds: 2 s, motion_kinds: [nod], held_out_kinds: [turn], style: wavy }\n"
@@ -17,23 +15,6 @@ static const char conditioned[] =
     "losses: { stretch: { stiffness: 2 N/m }, bend_twist: { stiffness: 1e-8 N*m^2 }, gravity: {}}\n"
     "training: { strands: 80, frames: 4, steps: 400, warm_up: 10, log_every: 10, validate_every: 100,\n"
     "  validation_frames: 4, checkpoint_every: 100, learning_rate: 5e-3 }\n";
-
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_materials_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
 
 typedef struct {
     hg_ctx *ctx;
@@ -52,7 +33,7 @@ static trial begin(const char *run, int threads, const char *const *set)
         if (hg_config_set(config, set[i], set[i + 1]) != HG_OK) fail_msg("%s", hg_message());
     assert_int_equal(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1 }), HG_OK);
     char path[320];
-    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), run ? run : "");
     s.status = hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL);
     hg_config_destroy(config);
     return s;
@@ -183,7 +164,7 @@ static void a_parameter_is_learnt(void **state)
     void *log = NULL;
     size_t size;
     char path[320];
-    snprintf(path, sizeof path, "%s/learnt/log.jsonl", folder);
+    snprintf(path, sizeof path, "%s/learnt/log.jsonl", test_folder());
     assert_int_equal(hg_file_read(path, &log, &size), HG_OK);
     const char *last = NULL;
     for (const char *at = log; (at = strstr(at, "\"material.bend_twist.stiffness\": ")); at++) last = at;
@@ -199,7 +180,7 @@ static void a_parameter_is_learnt(void **state)
     end(&second);
     hg_ctx *ctx = NULL;
     hg_hair_task *opened = NULL;
-    snprintf(path, sizeof path, "%s/learnt", folder);
+    snprintf(path, sizeof path, "%s/learnt", test_folder());
     assert_int_equal(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1 }), HG_OK);
     if (hg_hair_task_open(&opened, ctx, path, NULL) != HG_OK) fail_msg("%s", hg_message());
     assert_true(hg_tensor_item(hg_hair_model(opened)->params[hg_hair_model(opened)->n_params - 1], 0) < 0);
@@ -404,5 +385,5 @@ int main(void)
         cmocka_unit_test(bf16_compute),
         cmocka_unit_test(a_stiffness_per_strand_is_learnt),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

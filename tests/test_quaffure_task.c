@@ -22,23 +22,6 @@ static const char tiny[] =
         if ((call_) != HG_OK) fail_msg("%s", hg_message());                                                            \
     } while (0)
 
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_quaffure_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
-
 typedef struct {
     hg_ctx *ctx;
     hg_hair_task *task;
@@ -55,7 +38,7 @@ static trial begin(const char *run, int threads, int n, const char *const (*set)
     for (int i = 0; i < n; i++) OK(hg_config_set(config, set[i][0], set[i][1]));
     OK(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = threads, .seed = 1, .device = test_device() }));
     char path[400];
-    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), run ? run : "");
     OK(hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL));
     hg_config_destroy(config);
     return s;
@@ -338,7 +321,7 @@ static void a_resumed_run_is_the_same_and_opens(void **state)
     hg_ctx *ctx = NULL;
     hg_hair_task *opened = NULL;
     char path[400];
-    snprintf(path, sizeof path, "%s/whole", folder);
+    snprintf(path, sizeof path, "%s/whole", test_folder());
     OK(hg_ctx_create(&ctx, &(hg_ctx_options){ .threads = 2, .seed = 1, .device = test_device() }));
     OK(hg_hair_task_open(&opened, ctx, path, NULL));
     const char *const names[] = { "wavy", "short", "curly" }; /* the last one was not trained on */
@@ -514,5 +497,5 @@ int main(void)
         cmocka_unit_test(recipes),
         cmocka_unit_test(refuses),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

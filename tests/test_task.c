@@ -1,15 +1,13 @@
 /* tasks: a tiny procedural run from config to metrics; features; sampling; resume; the bit-for-bit promises; bad configs. */
 #include "geometry/vector.h"
 #include "hairgrad.h"
+#include "tests/test.h"
 #include "tasks/hair.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 static const char tiny[] = "scene:\n"
                            "  style: wavy\n"
@@ -42,23 +40,6 @@ static const char tiny[] = "scene:\n"
                            "  validation_frames: 4\n"
                            "  checkpoint_every: 20\n";
 
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_task_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
-
 static hg_config *parse(const char *text)
 {
     int n;
@@ -80,7 +61,7 @@ static trial begin(const char *run, int threads, const char *key, const char *va
     hg_config *config = parse(tiny);
     if (key) assert_int_equal(hg_config_set(config, key, value), HG_OK);
     char path[320];
-    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), run ? run : "");
     if (hg_hair_task_create(&s.task, s.ctx, config, run ? path : NULL, NULL) != HG_OK) fail_msg("%s", hg_message());
     hg_config_destroy(config);
     return s;
@@ -284,7 +265,7 @@ static void training_lowers_the_loss(void **state)
 
     /* What is opened from the folder is what was trained (the best one). */
     char path[320];
-    snprintf(path, sizeof path, "%s/learn", folder);
+    snprintf(path, sizeof path, "%s/learn", test_folder());
     hg_hair_task *opened = NULL;
     if (hg_hair_task_open(&opened, s.ctx, path, NULL) != HG_OK) fail_msg("%s", hg_message());
     hg_hair_metrics again;
@@ -526,5 +507,5 @@ int main(void)
         cmocka_unit_test(bad_configs),
         cmocka_unit_test(schema_follows_the_registry),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

@@ -1,32 +1,13 @@
 /* train, the rest of it: the moving average of the weights, early stop, TensorBoard events, starting from other weights. */
 #include "hairgrad.h"
+#include "tests/test.h"
 #include "train/log.h"
 #include "train/state.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
-
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_training_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
 
 /* ---- a task: y = sin(x0) x1 ---------------------------------------------------------------------------------- */
 
@@ -109,7 +90,7 @@ static outcome train(const char *name, hg_train_options options, validations *v,
     };
     assert_int_equal(hg_model_create(&model, ctx, "neuralocks", &spec), HG_OK);
     char path[320];
-    snprintf(path, sizeof path, "%s/%s", folder, name ? name : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), name ? name : "");
     options.folder = name ? path : NULL;
     validations own = { 0 };
     const hg_task task = {
@@ -162,7 +143,7 @@ static void the_average_is_what_the_formula_says(void **state)
 
     /* So does whoever reads the checkpoint. */
     char path[320];
-    snprintf(path, sizeof path, "%s/average/checkpoint.h5", folder);
+    snprintf(path, sizeof path, "%s/average/checkpoint.h5", test_folder());
     hg_h5 *file = NULL;
     float *weight = NULL;
     assert_int_equal(hg_h5_open(&file, path), HG_OK);
@@ -255,7 +236,7 @@ static int read_events(const char *name, const char *tag, double *values)
     void *bytes = NULL;
     size_t size;
     int n = 0;
-    snprintf(path, sizeof path, "%s/%s/events.out.tfevents.0000000000.hairgrad", folder, name);
+    snprintf(path, sizeof path, "%s/%s/events.out.tfevents.0000000000.hairgrad", test_folder(), name);
     assert_int_equal(hg_file_read(path, &bytes, &size), HG_OK);
     for (const uint8_t *at = bytes, *end = at + size; at < end; n++) {
         const size_t length = (size_t)little(at, 8);
@@ -340,7 +321,7 @@ static void events_hold_the_log(void **state)
              "python3 -c \"from tensorboard.backend.event_processing.event_accumulator import EventAccumulator as E\n"
              "e = E('%s/events'); e.Reload(); s = e.Scalars('loss'); import sys\n"
              "sys.exit(0 if [x.step for x in s] == [10,20,30,40,50,60] and abs(s[-1].value - %.9g) < 1e-5 else 1)\"",
-             folder, out.result.loss);
+             test_folder(), out.result.loss);
     assert_int_equal(system(command), 0);
 }
 
@@ -354,7 +335,7 @@ static void training_starts_from_a_checkpoint(void **state)
     options.learning_rate = 2e-2;
     const outcome first = train("first", options, NULL, 12);
     char from[400];
-    snprintf(from, sizeof from, "%s/first/checkpoint.h5", folder);
+    snprintf(from, sizeof from, "%s/first/checkpoint.h5", test_folder());
     options.start_from = from;
     options.steps = 1;
     options.learning_rate = 0;
@@ -391,5 +372,5 @@ int main(void)
         cmocka_unit_test(events_hold_the_log),
         cmocka_unit_test(training_starts_from_a_checkpoint),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }

@@ -2,16 +2,14 @@
  * ghosts, locks off; for networks of strands and of grooms alike. */
 #include "geometry/vector.h"
 #include "hairgrad.h"
+#include "tests/test.h"
 #include "tasks/hair.h"
 #include "tests/device.h"
 
 #include <math.h>
-#include <setjmp.h>
-#include <stdarg.h>
 #include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
-#include <cmocka.h>
 
 #define OK(call)                                                                                                       \
     do {                                                                                                               \
@@ -43,23 +41,6 @@ static const setting of_grooms[] = { { "model.kind", "quaffure" },      { "model
                                      { "features.encoder_width", "8" }, END };
 static const setting *const families[2] = { of_strands, of_grooms };
 
-static char folder[256];
-
-static int make_folder(void **state)
-{
-    (void)state;
-    snprintf(folder, sizeof folder, "%s/hairgrad_variants_XXXXXX", getenv("TMPDIR") ? getenv("TMPDIR") : "/tmp");
-    return mkdtemp(folder) ? 0 : -1;
-}
-
-static int remove_folder(void **state)
-{
-    (void)state;
-    char command[600];
-    snprintf(command, sizeof command, "rm -rf '%s'", folder);
-    return system(command) == 0 ? 0 : -1;
-}
-
 /* ---- a task --------------------------------------------------------------------------------------------------- */
 
 typedef struct {
@@ -77,7 +58,7 @@ static hg_status create(trial *s, const char *run, const setting *family, const 
     for (; (*family)[0]; family++) OK(hg_config_set(config, (*family)[0], (*family)[1]));
     for (; set && (*set)[0]; set++) OK(hg_config_set(config, (*set)[0], (*set)[1]));
     OK(hg_ctx_create(&s->ctx, &(hg_ctx_options){ .threads = 2, .seed = 1, .device = test_device() }));
-    snprintf(path, sizeof path, "%s/%s", folder, run ? run : "");
+    snprintf(path, sizeof path, "%s/%s", test_folder(), run ? run : "");
     const hg_status status = hg_hair_task_create(&s->task, s->ctx, config, run ? path : NULL, NULL);
     hg_config_destroy(config);
     return status;
@@ -467,7 +448,7 @@ static void orientations_are_learnt(void **state)
         char path[400];
         hg_hair_metrics own, judged;
         double shape[HG_SHAPES];
-        snprintf(path, sizeof path, "%s/%s", folder, name);
+        snprintf(path, sizeof path, "%s/%s", test_folder(), name);
         for (int judge = 0; judge < 2; judge++) {
             OK(hg_ctx_create(&s.ctx, &(hg_ctx_options){ .threads = 1, .seed = 1, .device = test_device() }));
             OK(hg_hair_task_open_with(&s.task, s.ctx, path, judge ? 5 : 0, other, NULL));
@@ -627,7 +608,7 @@ static void older_runs_are_opened(void **state)
     OK(hg_train(s.ctx, hg_hair_model(s.task), hg_hair_task_of(s.task), &options, NULL, &result));
     end(&s);
     char path[400], file[420];
-    snprintf(path, sizeof path, "%s/older", folder);
+    snprintf(path, sizeof path, "%s/older", test_folder());
     snprintf(file, sizeof file, "%s/config.yaml", path);
     for (int old = 0; old < 2; old++) {
         if (old) {
@@ -705,5 +686,5 @@ int main(void)
         cmocka_unit_test(wrong_configs),
         cmocka_unit_test(curl_and_tips),
     };
-    return cmocka_run_group_tests(tests, make_folder, remove_folder);
+    return cmocka_run_group_tests(tests, test_folder_make, test_folder_remove);
 }
