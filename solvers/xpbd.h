@@ -72,7 +72,6 @@ struct hg_xpbd {
 };
 
 void hg_xpbd_tile_at(const hg_xpbd *s, int64_t tile, hg_xpbd_tile *rows);
-int64_t hg_xpbd_tile_rows(int64_t V);
 static inline int64_t hg_xpbd_strand(const hg_xpbd *s, int64_t tile,
                                      int lane) /* the last tile repeats its last strand */
 {

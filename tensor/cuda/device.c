@@ -274,7 +274,7 @@ int hg_cuda_list(hg_device_info *infos, int room)
         hg_device_info *info = &infos[i];
         CUdevice device = 0;
         *info = (hg_device_info){ .name = "cuda" };
-        if (count > 1) snprintf(info->name, sizeof info->name, "cuda:%d", i % 1000);
+        if (count > 1) snprintf(info->name, sizeof info->name, "cuda:%d", i % 1000); /* there are not so many */
         api->cuDeviceGet(&device, i);
         api->cuDeviceTotalMem(&info->memory, device);
         describe(api, device, info->what, sizeof info->what);
